@@ -186,10 +186,15 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     parser.add_argument("--method", choices=METHOD_CHOICES, default=method,
                         help=f"{method_help}; or a class of your own, module:Class or file.py:Class (default: "
                              f"{method})")  # fmt: skip
-    parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
-                        help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             f"printed{publish_help} (default: ${PUBLISH_VARIABLE})")  # fmt: skip
+    add_publish(parser, "estimate and echoes", publish_help)
     add_resume_options(parser)
+
+
+def add_publish(parser: argparse._ActionsContainer, shown: str, more: str = "") -> None:
+    """Add --publish; `shown` is what the page shows."""
+    parser.add_argument("--publish", metavar="URL", default=os.environ.get(PUBLISH_VARIABLE),
+                        help=f"show {shown} on the page of `nserver --viewer`, at the address that it "
+                             f"printed{more} (default: ${PUBLISH_VARIABLE})")  # fmt: skip
 
 
 class _RenamedOption(argparse.Action):

@@ -13,6 +13,7 @@ import contextlib
 import json
 import math
 import sys
+import time
 from collections.abc import Generator
 from pathlib import Path
 from urllib.parse import quote
@@ -23,12 +24,15 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
 from localization.live.progress import show_seconds
+from localization.live.publish import Publisher
+from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
+from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.limits import MODEL_LIMITS
 from nclient import Robot
@@ -107,6 +111,7 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(live, "--geofence", "X0,Y0,X1,Y1", parse_geofence,
               "keep the robot's axis within this rectangle, inches in the frame of --waypoints")
     add_value(live, "--speed", "IN_S", arguments.parse_positive, "top speed in in/s", SPEED_IN_S)
+    arguments.add_publish(live, "the map as it grows, uncertain walls dashed,")
 
 
 def parse_geofence(text: str) -> Geofence:
@@ -121,22 +126,35 @@ def run(options: argparse.Namespace) -> int:
     arguments.check_writable(options.out, options.calibration_out)
     if options.picture is not None:
         check_picture(options.picture)
-    # 2. The drive.
-    try:
-        recordings, result = recordings_of(options, options.out)
-    except RobotMoved as error:
-        print(f"nomad map learn: no map written: {error}", file=sys.stderr)
-        return ExitCode.UNFIT
-    # 3. The map.
-    log = read_drive(*recordings)
-    learned = _learn(options, log, recordings)
+    with page_of(options) as page:
+        # 2. The drive.
+        try:
+            recordings, result = recordings_of(options, options.out, page)
+        except RobotMoved as error:
+            print(f"nomad map learn: no map written: {error}", file=sys.stderr)
+            return ExitCode.UNFIT
+        # 3. The map.
+        log = read_drive(*recordings)
+        learned = _learn(options, log, recordings, page)
     return result if learned is ExitCode.DONE else learned
 
 
-def recordings_of(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode]:
+@contextlib.contextmanager
+def page_of(options: argparse.Namespace) -> Generator[MapPublisher | None, None, None]:
+    """Open the page of --publish; without one, and for a recorded drive, there is none."""
+    if not options.publish or options.recording is not None:
+        yield None
+        return
+    with contextlib.closing(MapPublisher(Publisher(options.publish), time.monotonic)) as page:
+        yield page
+
+
+def recordings_of(
+    options: argparse.Namespace, out: Path, page: MapPublisher | None
+) -> tuple[list[Path], ExitCode]:
     """Return the recordings of --from, or those of a drive now, beside `out`; and how the drive ended."""
     if options.recording is None:
-        return _drive(options, out)
+        return _drive(options, out, page)
     if options.address or options.resume or options.waypoints or options.record or options.geofence or (
         options.drive != DRIVES[0]
     ):
@@ -146,7 +164,9 @@ def recordings_of(options: argparse.Namespace, out: Path) -> tuple[list[Path], E
     return options.recording, ExitCode.DONE
 
 
-def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -> ExitCode:
+def _learn(
+    options: argparse.Namespace, log: DriveLog, recordings: list[Path], page: MapPublisher | None
+) -> ExitCode:
     """Learn the map of a drive, write the files and print the result."""
     learner = MapLearner(
         log, options.odometry_noise, ConeSonar(), rays=has_rays(options), roughness_in=options.roughness
@@ -162,6 +182,8 @@ def _learn(options: argparse.Namespace, log: DriveLog, recordings: list[Path]) -
     reason = found.reason_to_refuse()
     if not reason:
         _write_files(options, found, log.model, recordings)
+    if page is not None:
+        page.finish(learner.estimate, f"No map written: {reason}" if reason else f"Written to {options.out}.")
     print(json.dumps(found.as_json()) if options.json else summary(found))
     if reason:
         print(f"nomad map learn: no map written: {reason}", file=sys.stderr)
@@ -186,7 +208,9 @@ def has_rays(options: argparse.Namespace) -> bool:
 # Driving.
 
 
-def _drive(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode]:
+def _drive(
+    options: argparse.Namespace, out: Path, page: MapPublisher | None
+) -> tuple[list[Path], ExitCode]:
     """Drive the robot and record it; return the recordings, those of --resume first, and the exit code."""
     _check_route(options)
     address, record = recorded_address(options, out)
@@ -194,7 +218,9 @@ def _drive(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode
     if options.resume and record.resolve() in [path.resolve() for path in options.resume]:
         options.refuse(f"{record} is one of --resume: name another file with --record")
     arguments.check_writable(record)
-    robot, _ = arguments.open_robot(address)
+    robot, is_simulated = arguments.open_robot(address)
+    if page is not None:
+        page.ground_truth = GroundTruth(robot, is_simulated)
     with contextlib.ExitStack() as stack:
         # A robot that a person drives is not stopped.
         stack.callback(robot.disconnect) if options.drive == "manual" else stack.enter_context(robot)
@@ -202,7 +228,7 @@ def _drive(options: argparse.Namespace, out: Path) -> tuple[list[Path], ExitCode
         _require_nomad(body, robot.model.name)
         driver = _driver(options, body)
         try:
-            last, log = _follow(robot, body, driver, before, options)
+            last, log = _follow(robot, body, driver, before, options, page)
         except (KeyboardInterrupt, TerminatedBySignal, ConnectionLost, ReplyTimeout):
             again = " ".join(str(path) for path in [*(options.resume or []), record])
             print(f"nomad map {options.tool}: stopped; the drive is in {record}: --from {again} reads it, "
@@ -274,7 +300,8 @@ def recorded_address(options: argparse.Namespace, out: Path) -> tuple[str, Path]
 
 
 def _follow(
-    robot: Robot, body: Body, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace
+    robot: Robot, body: Body, driver: Driver | None, before: DriveLog | None, options: argparse.Namespace,
+    page: MapPublisher | None,
 ) -> tuple[SurveyStep, SurveyLog]:
     """Drive until the end and print progress; return the last period and the log."""
     rays = has_rays(options)
@@ -291,16 +318,19 @@ def _follow(
     )  # fmt: skip
     # Closing the generator stops the robot.
     with contextlib.closing(steps):
-        return _print_progress(steps, options, is_manual=driver is None)
+        return _print_progress(steps, options, page, is_manual=driver is None)
 
 
 def _print_progress(
-    steps: Generator[tuple[SurveyStep, LiveMapper, SurveyLog], None, None], options: argparse.Namespace, is_manual: bool
+    steps: Generator[tuple[SurveyStep, LiveMapper, SurveyLog], None, None], options: argparse.Namespace,
+    page: MapPublisher | None, is_manual: bool,
 ) -> tuple[SurveyStep, SurveyLog]:
     printed_s, noted, last, log = -math.inf, 0, SurveyStep(0.0, None, None), SurveyLog()
     try:
         for step, mapper, log in steps:
             last = step
+            if page is not None:
+                page.add(step, mapper)
             if not options.json and step.elapsed_s >= printed_s + PRINT_S:
                 printed_s = step.elapsed_s
                 print(progress_line(step, mapper), flush=True)

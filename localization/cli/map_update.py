@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     world = load_world(options.world)
     try:
         # 2. The walls of the drive.
-        recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"))
+        with map_learn.page_of(options) as page:
+            recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"), page)
         log = read_drive(*recordings)
         learner = MapLearner(
             log, options.odometry_noise, ConeSonar(), rays=map_learn.has_rays(options), roughness_in=options.roughness

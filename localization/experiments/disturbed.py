@@ -19,7 +19,7 @@ from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,6 @@ from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
 from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
-from nclient.robot import Robot
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
 from worlds.robots import N150
@@ -268,12 +267,6 @@ def _places() -> tuple[Roadmap, Floats]:
     return Roadmap(world.walls, N150.radius_in + MARGIN_IN), free_positions(world)
 
 
-def scenario_of(setup: str, disturbance: Disturbance) -> Scenario:
-    """Return the simulation of a row; its filter has the models of `nomad localize`."""
-    sonar: RaySonar | ConeSonar = ConeSonar() if setup == "measured" else WIRE_SONAR
-    return _Wheels(setup, setup, sonar, THESIS_ODOMETRY, wheel_scale=disturbance.wheel_scale)
-
-
 @dataclass(frozen=True, slots=True)
 class _Wheels(Scenario):
     """A scenario with a given odometry scale."""
@@ -285,52 +278,75 @@ class _Wheels(Scenario):
         return self.wheel_scale
 
 
-def run(case: Case) -> tuple[Case, Tally]:
-    """Make one run."""
-    disturbance = ROWS[case.row]
-    world = load_world(WORLD)
+def scenario_of(setup: str, wheel_scale: float = 1.0) -> Scenario:
+    """Return the simulation of a setup; its filter has the models of `nomad localize`."""
+    sonar: RaySonar | ConeSonar = ConeSonar() if setup == "measured" else WIRE_SONAR
+    return _Wheels(setup, setup, sonar, THESIS_ODOMETRY, wheel_scale=wheel_scale)
+
+
+class Sample(NamedTuple):
+    """A state of the robot, its true pose (3,), and True if it drives."""
+
+    state: RobotState
+    truth: Floats
+    is_driving: bool
+
+
+@lru_cache(maxsize=4)
+def record_drive(
+    setup: str, seed: int, wheel_scale: float, target: tuple[float, float] | None, seconds: float
+) -> tuple[float, tuple[Sample, ...]]:
+    """Return the clock at which the sonars start, and the samples of a drive: see `Disturbance` for the arguments.
+
+    Most rows disturb the readings of one drive, or the map of the filter: they share it.
+    """
+    # 1. A random start, or one in front of the target.
     roadmap, places = _places()
-    x, y = places[np.random.default_rng([case.seed, POSITIONS]).integers(len(places))]
-    heading = float(np.random.default_rng([case.seed, START]).uniform(-math.pi, math.pi))
-    if disturbance.target:
-        x, y = disturbance.target[0] + 0.3 * (case.seed % 5 - 2), 55.0
-        heading = 0.5 * math.pi
-    scenario = scenario_of(case.setup, disturbance)
-    with simulated_robot(WORLD, scenario, case.seed, Pose(float(x), float(y), heading, heading)) as robot:
-        state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
-        assert state.clock_s is not None
-        noise = np.array(START_STD) * np.random.default_rng([case.seed, START, 1]).standard_normal(3)
-        belief = independent(add(np.array([x, y, heading]), noise), START_STD)
-        config = LocalizationConfig(
-            filter_map(np.asarray(world.walls), disturbance), N150, scenario.odometry, scenario.sonar
-        )
-        localizer = Localizer(config, belief, FiringSchedule(state.clock_s), case.method, case.seed)
-        explorer = RandomExplorer(
-            roadmap, places, Speeds(translation_in_s=SPEED_IN_S), np.random.default_rng([case.seed, GOALS])
-        )
-        return case, _tally(_drive(robot, localizer, explorer, disturbance, case.seed))
+    x, y = places[np.random.default_rng([seed, POSITIONS]).integers(len(places))]
+    heading = float(np.random.default_rng([seed, START]).uniform(-math.pi, math.pi))
+    if target:
+        x, y, heading = target[0] + 0.3 * (seed % 5 - 2), 55.0, 0.5 * math.pi
+    start = Pose(float(x), float(y), heading, heading)
+    explorer = RandomExplorer(
+        roadmap, places, Speeds(translation_in_s=SPEED_IN_S), np.random.default_rng([seed, GOALS])
+    )
+    # 2. The drive, steered by the truth.
+    samples, command = [], VelocityCommand(0.0, 0.0)
+    with simulated_robot(WORLD, scenario_of(setup, wheel_scale), seed, start) as robot:
+        clock_s = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER).clock_s
+        assert clock_s is not None
+        for _ in range(round(seconds / PERIOD_S)):
+            state, actual = robot.refresh(), robot.truth()
+            truth = np.array([actual.x_in, actual.y_in, actual.steering_rad])
+            samples.append(Sample(state, truth, command.translation_in_s > 0.5 * SPEED_IN_S))
+            command = VelocityCommand(SPEED_IN_S, 0.0) if target else explorer.command(truth)
+            robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
+    return clock_s, tuple(samples)
 
 
 Moment = tuple[Estimate, Floats, Floats]
 """Estimate, true pose (3,) and odometry (3,)."""
 
 
-def _drive(
-    robot: Robot, localizer: Localizer, explorer: RandomExplorer, disturbance: Disturbance, seed: int
-) -> list[Moment]:
-    """Return the estimates of a drive."""
+def run(case: Case) -> tuple[Case, Tally]:
+    """Make one run: a filter on a disturbed drive."""
+    disturbance, seed = ROWS[case.row], case.seed
+    clock_s, samples = record_drive(case.setup, seed, disturbance.wheel_scale, disturbance.target, disturbance.seconds)
+    # 1. The filter, with a random error of its start.
+    scenario = scenario_of(case.setup)
+    noise = np.array(START_STD) * np.random.default_rng([seed, START, 1]).standard_normal(3)
+    belief = independent(add(samples[0].truth, noise), START_STD)
+    walls = filter_map(np.asarray(load_world(WORLD).walls), disturbance)
+    config = LocalizationConfig(walls, N150, scenario.odometry, scenario.sonar)
+    localizer = Localizer(config, belief, FiringSchedule(clock_s), case.method, seed)
+    # 2. Its estimates.
     disturber, moments = Disturber(disturbance, seed), []
-    command = VelocityCommand(0.0, 0.0)
-    for number in range(round(disturbance.seconds / PERIOD_S)):
-        state, actual = robot.refresh(), robot.truth()
-        truth = np.array([actual.x_in, actual.y_in, actual.steering_rad])
-        received = disturber.apply(state, truth, number * PERIOD_S, command.translation_in_s > 0.5 * SPEED_IN_S)
+    for number, (state, truth, is_driving) in enumerate(samples):
+        received = disturber.apply(state, truth, number * PERIOD_S, is_driving)
         if number % disturbance.poll == 0:
             odometry = np.array([received.x_in, received.y_in, received.steering_rad])
             moments.append((localizer.update(received), truth, odometry))
-        command = VelocityCommand(SPEED_IN_S, 0.0) if disturbance.target else explorer.command(truth)
-        robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
-    return moments
+    return case, _tally(moments)
 
 
 def _tally(moments: Sequence[Moment]) -> Tally:
@@ -410,9 +426,13 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of execution and files are propagated."""
     options = _parser().parse_args(arguments)
     make_folder(options.out)
-    # 1. All runs, row by row.
+    # 1. All runs.
     cells = [(row, setup) for setup in options.setups for row in options.rows]
-    cases = [Case(row, setup, options.method, seed) for row, setup in cells for seed in range(options.seeds)]
+    seeds = range(options.first, options.first + options.seeds)
+    # Seed by seed, as the rows of a seed share drives.
+    cases = [
+        Case(row, setup, options.method, seed) for setup in options.setups for seed in seeds for row in options.rows
+    ]
     # 2. Make those that the cache does not have.
     cache = run_cache(options.out / "disturbed", code_hash())
     with progress(len(cases), "disturbed", "runs") as tally:
@@ -446,6 +466,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example: python -m localization.experiments disturbed --seeds 2 --setups measured",
     )
     parser.add_argument("--seeds", type=positive, default=20, metavar="N", help="number of runs per row (default: 20)")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="first seed (default: %(default)s)")
     add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")
     add_choice(parser, "--setups", ("noisy", "measured"), ["noisy", "measured"], "setups: rays, and cones")
     add_choice(parser, "--method", METHODS, DEFAULT_METHOD, "filter")

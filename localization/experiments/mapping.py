@@ -35,7 +35,7 @@ from localization.live.sensor_input import FiringSchedule, FiringTime, SensorDat
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, learn_map
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import DriveCollector, DriveLog, read_drive, rotate
+from localization.mapping.measurements import DriveCollector, DriveLog, read_drive, rigid_fit, rotate
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.survey import survey
 from localization.navigation.limits import MODEL_LIMITS
@@ -248,18 +248,6 @@ def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
 
 
 # Comparison.
-
-
-def rigid_fit(points: Floats, targets: Floats) -> tuple[float, Floats]:
-    """Return the turn and the shift (2,) that bring points (n, 2) nearest to targets (n, 2).
-
-    References
-    ----------
-    Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point Patterns (1991), without scale.
-    """
-    a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
-    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
-    return turn, targets.mean(axis=0) - rotate(points.mean(axis=0), np.array(turn))
 
 
 def fit_error(points: Floats, targets: Floats) -> float:

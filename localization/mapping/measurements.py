@@ -507,3 +507,15 @@ def relative_pose(origin: Floats, pose: Floats) -> Floats:
     step: Floats = pose[:POSE] - origin[:POSE]
     step[:2] = rotate(step[:2], -origin[HEADING])
     return step
+
+
+def rigid_fit(points: Floats, targets: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) that bring points (n, 2) nearest to targets (n, 2).
+
+    References
+    ----------
+    Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point Patterns (1991), without scale.
+    """
+    a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    return turn, targets.mean(axis=0) - rotate(points.mean(axis=0), np.array(turn))

@@ -202,10 +202,12 @@ def compare(world: World, estimate: MapEstimate, start: Floats, rest: Floats, tu
     pose = compose(np.array((*true.places(last[None, :2])[0], last[HEADING] + true.turn)), rest)
     pose[HEADING] = wrap_angle(pose[HEADING])
     found = _compared(walls, pieces, placed, ends_of, starts, ends)
-    after, accuracies = _changed(world, walls, found.changes, found.parts)
+    after, accuracies, names = _changed(world, walls, found.changes, found.parts)
     x, y, heading = pose.tolist()
     standing = StartPose(round(x, 3), round(y, 3), round(heading, 4), round(wrap_angle(heading + turret_rad), 4))
-    changed = World(world.name, world.title, inner_walls=after, starts=(standing,), accuracies=accuracies)
+    changed = World(
+        world.name, world.title, inner_walls=after, starts=(standing,), accuracies=accuracies, wall_names=names
+    )
     scale = 1.0 / fit.scale
     return MapDifference(
         tuple(found.changes), tuple(found.unchanged), tuple(found.unseen), scale, fit.scale_std, pose, changed
@@ -387,8 +389,8 @@ def _missing_parts(
 
 def _changed(
     world: World, walls: Floats, changes: Sequence[Change], parts: dict[int, list[tuple[float, float]]]
-) -> tuple[Floats, dict[int, WallAccuracy]]:
-    """Return the walls (k, 4) after the changes, and the accuracies of those that were measured."""
+) -> tuple[Floats, dict[int, WallAccuracy], dict[int, str]]:
+    """Return the walls (k, 4) after the changes, the accuracies of those that were measured, and the names."""
     first = len(world.fixed_walls) - len(world.inner_walls)
     rows = {row: wall.copy() for row, wall in enumerate(walls)}
     accuracies = {first + row: accuracy for row, accuracy in world.accuracies.items()}
@@ -415,10 +417,13 @@ def _changed(
     # 2. Missing parts are cut out.
     after: list[Floats] = []
     stated: dict[int, WallAccuracy] = {}
+    names: dict[int, str] = {}
     for row, wall in rows.items():
         for rest in _without(wall, parts.get(row, [])):
             if row in accuracies:
                 stated[len(after)] = accuracies[row]
+            if row - first in world.wall_names:
+                names[len(after)] = world.wall_names[row - first]
             after.append(rest)
     # 3. New walls end at the walls that they reach.
     for change in changes:
@@ -427,7 +432,7 @@ def _changed(
             assert change.accuracy is not None
             stated[len(after)] = change.accuracy
             after.append(_snapped(change.after, np.array(after).reshape(-1, 4)))
-    return np.round(np.array(after).reshape(-1, 4), 4) + 0.0, stated
+    return np.round(np.array(after).reshape(-1, 4), 4) + 0.0, stated, names
 
 
 def _projected(wall: Floats, line: Floats) -> Floats:

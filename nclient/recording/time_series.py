@@ -36,7 +36,7 @@ class TimeSeries:
     Attributes
     ----------
     quantities : tuple[str, ...]
-        The quantities of all known columns: each once.
+        The quantities of all columns that are read: each once.
     unknown : list[str]
         Names of columns of other quantities or units.
     sonars : int
@@ -51,11 +51,11 @@ class TimeSeries:
     def __init__(self, text: str, name: str, units: Units) -> None:
         self._name = name
         self._reader = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-        names = [field.strip() for field in next(self._fields(), [])]
-        # 1. Quantity and factor of each column; None if it is not known.
-        self._columns = [_column(column, units) for column in names]
-        self.unknown = [column for column, known in zip(names, self._columns, strict=True) if known is None]
-        self.quantities = tuple(known[0] for known in self._columns if known)
+        titles = [field.strip() for field in next(self._fields(), [])]
+        # 1. Quantity and factor of each column; None of one that is not read.
+        self._columns = [_column(title, units) for title in titles]
+        self.unknown = [title for title, column in zip(titles, self._columns, strict=True) if column is None]
+        self.quantities = tuple(column[0] for column in self._columns if column)
         # 2. Each once, sonars without a gap.
         for quantity, times in Counter(self.quantities).items():
             if times > 1:
@@ -77,9 +77,9 @@ class TimeSeries:
         """
         for number, fields in enumerate(self._fields(), 2):
             values = {}
-            for known, field in zip(self._columns, fields, strict=False):
-                if known and field.strip():
-                    quantity, factor = known
+            for column, field in zip(self._columns, fields, strict=False):
+                if column and field.strip():
+                    quantity, factor = column
                     values[quantity] = self._number(field, quantity, number) * factor
             yield number, values
 

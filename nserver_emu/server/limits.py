@@ -83,7 +83,7 @@ class Limits:
     page_rate: int = _limit(
         200, (10, 1_000_000), "messages per second", "messages of one page or rosbridge client, and HTTP requests of "
         "one address to their port", "they are handled later; only a rosbridge client's velocities are refused if they "
-        "are late by 0.5 s", "viewer/server.py", none=True)
+        "are late by 0.5 s", "viewer/http_port.py", none=True)
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world, and as many inner walls drawn at run time",
         "ERROR 5 to add_obstacle, an error at the page", "server/handlers/world.py")

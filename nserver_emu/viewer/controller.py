@@ -31,7 +31,7 @@ from nserver_emu.viewer.clients import Answer, ViewerClient, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
 from nserver_emu.viewer.map_editor import adjust_world
-from nserver_emu.viewer.messages import STALE_S, parse_estimate
+from nserver_emu.viewer.messages import STALE_S, parse_published
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, format_world, load_world, world_names
 
@@ -73,7 +73,8 @@ class ViewerController:
         self._clients: dict[Viewer, ViewerClients] = {}
         self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
         self._reading: set[asyncio.Task[Answer]] = set()
-        self._published: dict[int, tuple[float, dict[str, Any]]] = {}
+        self._published: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
+        """When the last message of each kind was published of each robot, and its fields."""
         self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
         self.traffic_monitor = TrafficMonitor(
@@ -94,10 +95,10 @@ class ViewerController:
         viewer.notify(messages.encode_message("programs", robots=self._programs))
         viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
         viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
-        # 2. Estimates that are not outdated.
-        for published_at, estimate in self._published.values():
+        # 2. Estimates and maps that are not outdated.
+        for (kind, _), (published_at, fields) in self._published.items():
             if now - published_at < STALE_S:
-                viewer.notify(messages.encode_message("localization", **estimate, age_s=round(now - published_at, 1)))
+                viewer.notify(messages.encode_message(kind, **fields, age_s=round(now - published_at, 1)))
         self._clients[viewer] = ViewerClients(self.daemon, viewer.name, self.error_boundary)
         self._accept_pose_clicks()
         return viewer
@@ -301,29 +302,31 @@ class ViewerController:
         reading.add_done_callback(finish)
 
     def publish(self, text: str, now: float, only: int | None = None) -> dict[str, Any]:
-        """Show a localizer's estimate on all pages; return the reply with the waypoints.
+        """Show a localizer's estimate, or a map that is being learned, on all pages; return the reply with waypoints.
 
         `only` is the robot of a student's token; None allows all.
 
         Raises
         ------
         InvalidMessage
-            If the estimate is wrong or names no robot.
+            If the message is wrong or names no robot.
         """
-        estimate = parse_estimate(text)
-        robot = estimate["robot"]
+        kind, fields = parse_published(text)
+        robot = fields["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
             raise messages.InvalidMessage(f"there is no robot {robot}")
         if only not in (None, robot):
             raise messages.InvalidMessage(f"this link publishes estimates of robot {only} only")
-        # A new localizer gets the waypoints that none before it got, unless it has some of its own.
-        is_new = self._waypoints_received[robot] < self._waypoints_set[robot] and not estimate["waypoints"]
-        if estimate.pop("began") and self.waypoints.get(robot) and not is_new:
-            self.set_waypoints(robot, [])
-        self._waypoints_received[robot] = self._waypoints_set[robot]
-        self._published[robot] = now, estimate
-        self.localizers.mark_published(robot)
-        self.broadcaster.notify(messages.encode_message("localization", **estimate, age_s=0.0))
+        has_begun = fields.pop("began")
+        if kind == "localization":
+            # A new localizer gets the waypoints that none before it got, unless it has some of its own.
+            is_new = self._waypoints_received[robot] < self._waypoints_set[robot] and not fields["waypoints"]
+            if has_begun and self.waypoints.get(robot) and not is_new:
+                self.set_waypoints(robot, [])
+            self._waypoints_received[robot] = self._waypoints_set[robot]
+            self.localizers.mark_published(robot)
+        self._published[kind, robot] = now, fields
+        self.broadcaster.notify(messages.encode_message(kind, **fields, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
 
     def set_waypoints(self, robot: int, points: list[list[float]]) -> None:

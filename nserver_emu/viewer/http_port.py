@@ -1,4 +1,4 @@
-"""What the page and rosbridge share: an HTTP port with limits, websockets that are sent to and read without waiting.
+"""HTTP port with limits, and websockets that are sent to and read without waiting: for the page and for rosbridge.
 
 Connections are limited before HTTP is parsed (auth.py). A client that receives too slowly skips pictures; the messages
 of clients are handled in turns that all connections of the daemon share.

@@ -9,6 +9,7 @@ to the page, by `type`
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
     localization the latest published estimate (localization.py), and its age: age_s
+    map          the latest published map that is being learned, and its age: age_s
     localizers   robots: {robot: {"method", "state", "words", "has_old_map"} ...} of localizers that pages started;
                  state: starting, running, ended, failed; words: what it waits for, why it ended, or the error;
                  has_old_map: true if walls of the world have changed since the start
@@ -53,6 +54,12 @@ Estimates published by a localizer: POST /publish, one JSON object per update; t
                 that none before it got are for it, unless it has its own
 
     reply       {"waypoints": [[x, y] ...] or null, "set": how often they were set}
+
+Maps published while they are learned (`nomad map learn --publish`): the same, with
+
+    robot, pose, began    as above                      elapsed_s    since the beginning of the drive
+    walls       [{"ends": [[x, y], [x, y]], "is_uncertain"} ...]    points    [[x, y] ...]: corners, posts
+    outcome     what has become of the map, "" while it is being learned
 
 Units are inches and radians. Anything else raises InvalidMessage.
 """
@@ -289,6 +296,8 @@ REFUSALS: Final = get_args(Refusal)
 TRUSTS: Final = get_args(Trust)
 MAX_ECHOES: Final = 64
 MAX_PLACES: Final = 20
+MAX_WALLS: Final = 500
+"""Walls of a published map."""
 MAX_REASON: Final = 200
 """Characters of a reason."""
 MAX_READING_IN: Final = 1000.0
@@ -341,6 +350,46 @@ class Estimate(Struct):
             raise InvalidValue("is no covariance: not symmetric, or not positive semidefinite", "cov")
         if sum(place.share for place in self.places[:MAX_PLACES]) > 1.0 + _ROUNDING:
             raise InvalidValue("the shares sum to more than 1", "places")
+
+
+class MapWall(Struct):
+    """A wall of a map that is being learned."""
+
+    ends: Annotated[list[Point], Meta(min_length=2, max_length=2, title="two points")]
+    is_uncertain: bool
+
+
+class GrowingMap(Struct):
+    """A published map that is being learned, in inches and radians, in the frame of the world."""
+
+    robot: Id
+    elapsed_s: Number
+    pose: Pose
+    walls: Annotated[list[MapWall], Meta(title="a list of walls")]
+    points: Annotated[list[Point], Meta(title="a list of points [[x, y], ...]")]
+    outcome: str
+    began: bool = False
+
+
+def parse_published(text: str) -> tuple[Literal["localization", "map"], dict[str, Any]]:
+    """Parse and check what was published, an estimate or a map with walls; return its kind and fields.
+
+    Raises
+    ------
+    InvalidMessage
+        If a field is missing or wrong.
+    """
+    with reported_as(InvalidMessage, "published message"):
+        raw = decode_json(text)
+    if not isinstance(raw, dict) or "walls" not in raw:
+        return "localization", parse_estimate(text)
+    with reported_as(InvalidMessage, "published map"):
+        found = convert(raw, GrowingMap)
+    fields: dict[str, Any] = msgspec.to_builtins(found)
+    return "map", fields | {
+        "walls": fields["walls"][:MAX_WALLS], "points": found.points[:MAX_POINTS],
+        "outcome": found.outcome[:MAX_REASON],
+    }  # fmt: skip
 
 
 def parse_estimate(text: str) -> dict[str, Any]:

@@ -81,7 +81,8 @@ def _runs(path: Path) -> bool:
 
 def test_every_extra_is_tried() -> None:
     assert set(EXTRAS) == {check.extra for check in CHECKS if check.extra}
-    assert set(EXTRAS) - {"docs"} == set(ALL), "the extra all has no tools for the documentation"
+    # Without the tools for the documentation, and numba for machines that must build it: elsewhere it is a dependency.
+    assert set(EXTRAS) - {"docs", "fast"} == set(ALL)
 
 
 def test_changelog_has_this_version() -> None:

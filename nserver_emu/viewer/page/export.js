@@ -9,7 +9,7 @@ import { drawScene } from './draw.js';
 import { SvgPen, graphicsToSvg } from './svg.js';
 import { updateShapes, updateBeams, MAX_TRACE_NUMBERS } from './scene.js';
 
-const SAVED_TYPES = ['picture', 'localization', 'waypoints'];
+const SAVED_TYPES = ['picture', 'localization', 'map', 'waypoints'];
 const MAX_MESSAGES = 24000, MAX_SIZE = 60e6, MODULE = /(from|import) '\.\/([\w]+\.js)'/g;
 
 export function newRun() { return { base: null, messages: [], sizes: [], size: 0 }; }

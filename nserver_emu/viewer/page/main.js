@@ -12,6 +12,7 @@ import { driveWindow, poseWindow } from './drive_window.js';
 import { timeWindow } from './time_window.js';
 import { worldWindow } from './world_window.js';
 import { trafficWindow } from './traffic_window.js';
+import { learnedMapWindow } from './learned_map_window.js';
 import { localizationWindow } from './localization_window.js';
 import { setUpTools } from './tools.js';
 import { setUpMenus, setUpSharing } from './menus.js';
@@ -27,7 +28,7 @@ import { takeToken, savePreference, loadPreference } from './browser_storage.js'
 const TASKS = {
   drive: { title: 'Drive', acts: true, windows: [driveWindow, poseWindow] },
   world: { title: 'World', acts: true, windows: [worldWindow, timeWindow] },
-  localize: { title: 'Localize', windows: [localizationWindow] },
+  localize: { title: 'Localize', windows: [localizationWindow, learnedMapWindow] },
   observe: { title: 'Observe', windows: [robotsWindow, robotWindow, shortWindow, longWindow, trafficWindow] },
 };
 const WINDOWS = Object.values(TASKS).flatMap(({ windows }) => windows);
@@ -52,6 +53,7 @@ const app = {
   },
   run: newRun(), waypoints: {},
   estimateOf(id) { return localizationWindow.currentEstimate(id); },
+  learnedMapOf(id) { return learnedMapWindow.currentMap(id); },
   justSet(id) { return performance.now() - (waypointsSetAt[id] ?? -Infinity) < JUST_SET_MS; },
   setWaypoints(points) {
     storeWaypoints(app.robot, points);
@@ -83,7 +85,10 @@ const app = {
     return true;
   },
   requestUpdate() { needsUpdate = true; },
-  drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
+  drawEstimate(pen, scene, view, options) {
+    learnedMapWindow.draw(pen, scene, view, options, app);
+    localizationWindow.draw(pen, scene, view, options, app);
+  },
   // Send the server which optional data this page shows.
   watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser, robot: Number(app.robot) }); },
   notice(text, { stays = false } = {}) {

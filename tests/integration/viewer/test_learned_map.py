@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 import pytest
 from playwright.sync_api import Browser
@@ -82,6 +84,39 @@ def test_walls_are_joined_at_their_corner_or_to_one(browser: Browser, tmp_path: 
             page.page.mouse.click(*page.at(x, y))
         page.wait("document.querySelector('#notice').innerText.includes('touch robot 1')")
         page.wait(f"{request}.then((one) => one.result.text.includes('60.0, 0.0'))")
+
+
+DRAWN = """import('/page/export.js').then((m) => { const colour = nserver.theme.estimate;
+    return m.svgOf(nserver).split('<path ').filter((path) => path.includes(`stroke="${colour}"`))
+        .map((path) => path.includes('stroke-dasharray')).join(); })"""
+SURE, UNSURE = ({"ends": [[0, y], [90, y]], "is_uncertain": y > 0} for y in (0, 90))
+
+
+def test_map_grows_on_the_page_with_uncertain_walls_dashed(browser: Browser) -> None:
+    text = "document.querySelector('#window-learned-map').innerText"
+    grown = {"robot": 1, "elapsed_s": 8.0, "pose": [20, 30, 0.0], "points": [], "outcome": ""}
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+
+        def publish(**changes: object) -> None:
+            message = json.dumps(grown | changes).encode()
+            urlopen(Request(program.url.replace("/?", "/publish?"), message, method="POST"), timeout=10).close()
+
+        page.wait(f"{text}.includes(`nomad map learn`) && {text}.includes(`--publish '{program.url}'`)")
+        assert page.value(DRAWN) == ""
+        publish(walls=[UNSURE])
+        page.wait(f"{text}.includes('The map grows.') && {text}.includes('1, 1 of them uncertain')")
+        robot = page.value(DRAWN).removeprefix("true,")
+        assert robot
+        assert "true" not in robot
+        publish(walls=[SURE, UNSURE])
+        page.wait(f"{text}.includes('2, 1 of them uncertain')")
+        assert page.value(DRAWN) == f"false,true,{robot}"
+        # The drive is over: the map stays, the robot is no longer drawn.
+        publish(walls=[SURE], outcome="Written to room.toml.")
+        page.wait(f"{text}.includes('Written to room.toml.')")
+        assert page.value(DRAWN) == "false"
+        with open_page(browser, program.url) as late:
+            late.wait(f"{text}.includes('Written to room.toml.')")
 
 
 def test_wall_gets_a_name_by_click_and_keeps_it(browser: Browser, tmp_path: Path) -> None:

@@ -116,22 +116,42 @@ def test_waypoints_by_keyboard_and_by_pointer(browser: Browser) -> None:
         assert publish(program.url, 1)["waypoints"] == [[10, 20], [60, 40]]
         with open_page(browser, program.url) as late:
             late.wait("JSON.stringify(nserver.waypoints['1']) === '[[10,20],[60,40]]'")
+
+        def follow() -> None:
+            """Publish as a localizer does, which has taken over the waypoints that the page set."""
+            points = page.value("nserver.waypoints['1']")
+            publish(program.url, 1, waypoints=points)
+            page.wait(f"String(nserver.estimateOf('1').waypoints) === String({json.dumps(points)})")
+
         publish(program.url, 1, waypoints=[[10, 20], [60, 40]], passed=1)
         page.wait("!nserver.justSet('1')")
         page.page.click("#tool-waypoint")
         # Waypoints already reached are not driven to again.
         page.page.mouse.click(*page.at(80, 80))
         page.wait("nserver.waypoints['1'].length === 2 && nserver.waypoints['1'][0][0] === 60")
+        follow()
         page.page.mouse.move(*page.at(60, 40))
         page.page.mouse.down()
         page.page.mouse.move(*page.at(60, 70), steps=3)
         page.page.mouse.up()
         page.wait("Math.abs(nserver.waypoints['1'][0][1] - 70) < 1")
+        follow()
         page.page.mouse.click(*page.at(60, 70))
         page.wait("nserver.waypoints['1'].length === 1 && nserver.waypoints['1'][0][0] > 70")
+        follow()
         page.page.focus("[aria-label='Delete waypoint 1']")
         page.page.keyboard.press("Enter")
         page.wait("nserver.waypoints['1'].length === 0")
+
+
+def test_health_on_the_map_does_not_move_the_map(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        boxes = [page.page.locator("#map").bounding_box()]
+        for trust in ("OK", "DEGRADED", "LOST"):
+            publish(program.url, 1, trust=trust)
+            page.wait(f"document.querySelector('#map-trust').innerText.includes('{trust}')")
+            boxes.append(page.page.locator("#map").bounding_box())
+        assert boxes == boxes[:1] * 4
 
 
 LOST = {"trust": "LOST", "pose": [0, 0, 0], "cov": [[1e6, 0, 0], [0, 1e6, 0], [0, 0, 9]]}

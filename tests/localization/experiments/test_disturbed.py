@@ -68,6 +68,30 @@ def test_rows_are_printed_and_cached(
     assert json.loads(capsys.readouterr().out)[0]["disturbance"] == "person"
 
 
+def test_seeds_begin_at_the_first_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def fake(case: Case) -> tuple[Case, Tally]:
+        made.append(case.seed)
+        return case, TALLY
+
+    monkeypatch.setattr(disturbed, "run", fake)
+    options = ["--first", "100", "--seeds", "2", "--rows", "person", "undisturbed", "--setups", "noisy"]
+    assert main(["disturbed", *options, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    # Seed by seed: the rows of a seed share a drive.
+    assert made == [100, 100, 101, 101]
+
+
+def test_rows_with_the_same_wheels_share_a_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = {row: replace(ROWS[row], seconds=0.5) for row in ("undisturbed", "person", "carpet 8 %")}
+    monkeypatch.setattr(disturbed, "ROWS", short)
+    disturbed.record_drive.cache_clear()
+    for row in short:
+        run(Case(row, "noisy", "ekf", 0))
+    # A carpet needs a drive of its own.
+    assert (disturbed.record_drive.cache_info().misses, disturbed.record_drive.cache_info().hits) == (2, 1)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("row", ["person", "slips of 3 in", "clock 100 ms", "pressed: post"])
 def test_a_short_run(row: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from localization.experiments import mapping
-from localization.experiments.mapping import Drive, Trial, fit_error, rigid_fit, score, visible_samples
+from localization.experiments.mapping import Drive, Trial, fit_error, score, visible_samples
 from localization.filters.belief import Floats
-from localization.mapping.measurements import rotate
+from localization.mapping.measurements import rigid_fit, rotate
 from localization.mapping.output import LearnedMap, Quality
 from localization.mapping.walls import Piece
 from tests.localization.mapping.drives import drive

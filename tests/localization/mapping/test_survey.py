@@ -26,6 +26,7 @@ from nclient.errors import BumperHit
 from nclient.recording.format import read_recording
 from nclient.state import RobotState
 from tests.localization.mapping.drives import drive, echo
+from tests.localization.viewer_stub import page_that
 from tests.programs.forked import Forked
 from worlds.io import load_world
 from worlds.robots import N150
@@ -233,8 +234,24 @@ def learn(*words: str) -> int:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("survey")
     address = "sim:thesis_room?setup=measured&seed=4"
-    assert learn(address, "--waypoints", *FOUR, "--out", str(folder / "room.toml")) in (0, 4)
+    with page_that(lambda _: (200, '{"waypoints": null, "set": 0}')) as (url, published):
+        words = ("--waypoints", *FOUR, "--out", str(folder / "room.toml"), "--publish", url)
+        assert learn(address, *words) in (0, 4)
+    (folder / "published.json").write_text(json.dumps([message for _, message in published]))
     return folder
+
+
+def test_drive_publishes_its_map_as_it_grows(driven: Path) -> None:
+    messages = json.loads((driven / "published.json").read_text())
+    assert messages[0]["began"]
+    assert messages[0]["outcome"] == ""
+    last = messages[-1]
+    assert last["outcome"].startswith("Written to")
+    assert len(messages[0]["walls"]) < len(last["walls"])
+    # In the frame of the simulated world.
+    true = load_world("thesis_room").walls.reshape(-1, 2)
+    ends = np.array([wall["ends"] for wall in last["walls"]]).reshape(-1, 2)
+    assert np.hypot(*(true[:, None] - ends).transpose(2, 0, 1)).min(axis=1).max() < 2.0
 
 
 def test_live_drive_and_its_recording_give_the_same_map(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,15 @@ def test_wall_that_paths_cross_is_missing(estimate: MapEstimate) -> None:
     (change,) = found.changes
     assert (change.kind, change.row, change.after) == ("missing", 4, None)
     np.testing.assert_allclose(found.world.walls, WALLS, atol=1e-3)
+
+
+def test_walls_keep_their_names(estimate: MapEstimate) -> None:
+    # The wall in the middle is missing, so that the rows of those after it change; its name goes with it.
+    walls = np.concatenate(([(60.0, 0.0, 60.0, 60.0)], WALLS))
+    named = replace(world_of(walls), wall_names={0: "screen", 2: "window side", 4: "door side"})
+    found = compare(named, estimate, START, np.zeros(3))
+    assert [change.kind for change in found.changes] == ["missing"]
+    assert found.world.wall_names == {1: "window side", 3: "door side"}
 
 
 def test_wall_beyond_the_map_is_new(estimate: MapEstimate) -> None:

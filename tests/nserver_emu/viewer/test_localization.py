@@ -22,6 +22,7 @@ from nserver_emu.viewer.messages import (
     TRUSTS,
     InvalidMessage,
     parse_estimate,
+    parse_published,
 )
 from nserver_emu.viewer.scene import SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
@@ -144,3 +145,32 @@ async def test_a_posted_estimate_reaches_present_and_later_pages() -> None:
         for strange in (json.dumps(GOOD | {"robot": 9}).encode(), b"\xff"):
             async with here.web.post(address, params={"token": here.viewer_server.token}, data=strange) as answer:
                 assert answer.status == 400
+
+
+MAP: dict[str, Any] = {
+    "robot": 1, "elapsed_s": 8.0, "pose": [1, 2, 0.1], "outcome": "", "points": [[5, 6]],
+    "walls": [{"ends": [[0, 0], [9, 0]], "is_uncertain": False}, {"ends": [[9, 0], [9, 7]], "is_uncertain": True}],
+}  # fmt: skip
+
+
+def test_learned_map_comes_through_beside_estimates() -> None:
+    controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
+    controller.set_waypoints(1, [[7, 8]])
+    controller.publish(json.dumps(GOOD | {"waypoints": []}), 1.0)
+    # It neither gets waypoints of localizers nor ends them.
+    assert controller.publish(json.dumps(MAP | {"began": True}), 2.0) == {"waypoints": [[7, 8]], "set": 1}
+    viewer = controller.connect_page(3.0, Access(may_act=False))
+    shown = [json.loads(text) for text in viewer.take_messages()]
+    assert [message for message in shown if message["type"] == "map"] == [MAP | {"type": "map", "age_s": 1.0}]
+    assert [message["type"] for message in shown].count("localization") == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"walls": None}, {"walls": [{"ends": [[0, 0]], "is_uncertain": True}]}, {"walls": [[0, 0, 9, 0]]},
+     {"walls": [{"ends": [[0, 0], [9, 1e99]], "is_uncertain": True}]}, {"points": [[1]]}, {"outcome": None},
+     {"pose": [1, 2]}, {"elapsed_s": "x"}, {"robot": -1}],
+)  # fmt: skip
+def test_wrong_maps_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(InvalidMessage, match=rf"map: {next(iter(change))}"):
+        parse_published(json.dumps(MAP | change))
