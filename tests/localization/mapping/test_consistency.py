@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_correlated_neighbours_count_for_less(estimate: MapEstimate) -> None:
     correlated = noise.copy()
     for feature in range(estimate.state.features):
         echoes = estimate.echoes_of(feature)
-        for before, after in zip(echoes[:-1], echoes[1:], strict=True):
+        for before, after in pairwise(echoes):
             correlated[after] = 0.4 * correlated[before] + (1.0 - 0.4**2) ** 0.5 * noise[after]
     independent, dependent = (check_parts(with_residuals(estimate, r))[0] for r in (noise, correlated))
     assert independent.limit < dependent.limit < chi2.ppf(1.0 - RISK, independent.freedom * 0.6) / 0.6
