@@ -180,7 +180,8 @@ def test_the_rim_of_the_cone_is_in_it_wherever_the_robot_is(gap_in: float) -> No
     model = replace(MODEL, margin_db=1e6)
     for turn in np.linspace(-3.0, 3.0, 61).tolist():
         now = Ping(1156.8, 387.9, turn, 0, (0.0, 0.0))
-        x, y = 1156.8 + FACE * cos(turn) + away * cos(turn + bearing), 387.9 + FACE * sin(turn) + away * sin(turn + bearing)
+        x = 1156.8 + FACE * cos(turn) + away * cos(turn + bearing)
+        y = 387.9 + FACE * sin(turn) + away * sin(turn + bearing)
         assert first(np.array([[x, y, RADIUS]]), model, now=now) == pytest.approx(along - MODEL.recess_in, abs=1e-7)
 
 
