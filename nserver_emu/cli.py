@@ -137,9 +137,7 @@ async def _serve(options: argparse.Namespace) -> int:
 def _prepare_acoustics(simulation: Simulation) -> None:
     """Load or compile the acoustics of measured sonars, or decide that they run in plain Python."""
     is_used = any(isinstance(robot.sonar.model, Polaroid) for robot in simulation.robots.values())
-    from localization.live.progress import show_seconds  # here: most servers do not need it
-
-    with show_seconds("preparing the sonars; numba compiles them once on a machine"):
+    with process.show_seconds("preparing the sonars; numba compiles them once on a machine"):
         FIRST_ECHO.prepare(is_used)
 
 
