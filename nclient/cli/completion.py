@@ -12,7 +12,6 @@ import argparse
 import re
 import shlex
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import shtab
 from nclient.cli.state_text import PARTS
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
+from nclient.common.installed import entry_points
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
 from nclient.url import available_schemes

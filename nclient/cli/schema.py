@@ -10,12 +10,12 @@ schema cannot express what needs geometry or other files; then the reader refuse
 import argparse
 import json
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from typing import Any, Final, get_args
 
 import msgspec
 
 from nclient.common.exit_codes import ExitCode
+from nclient.common.installed import entry_points
 
 GROUP: Final = "nomad.schemas"
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
 
 def file_schema(kind: str) -> dict[str, Any]:
     """Return the schema of a kind of file."""
-    (point,) = entry_points(group=GROUP, name=kind)
+    (point,) = entry_points(group=GROUP).select(name=kind)
     return json_schema(point.load())
 
 

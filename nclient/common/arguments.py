@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
 from nclient.common.exit_codes import ExitCode
-from nclient.common.hints import closest_match, suggest
+from nclient.common.hints import closest_match, suggest, version
 
 MAX_DIGITS = 18
 """Maximum length of a whole number; int() refuses very long ones."""
@@ -123,6 +123,20 @@ def add_value(
 def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
     """Add an option without a value."""
     parser.add_argument(name, action="store_true", help=about)
+
+
+class _PrintVersion(argparse.Action):
+    """Print the installed version and exit. argparse's own action takes a text, for which each start would read it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {version()}")
+        parser.exit()
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add --version."""
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, default=argparse.SUPPRESS,
+                        help="show program's version number and exit")  # fmt: skip
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:
