@@ -124,7 +124,7 @@ class Environment:
                 linked.add(distribution.name)
                 waiting.append(distribution)
                 for name in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
-                    (packages / name).symlink_to(distribution.locate_file(name))
+                    (packages / name).symlink_to(str(distribution.locate_file(name)))
         self._pip("check")
 
     def _pip(self, *words: str) -> None:
