@@ -9,7 +9,7 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import corridor
-from localization.experiments.residuals import Echoes, fit_walls, residual_statistics
+from localization.experiments.corridor import Echoes, fit_walls, residual_statistics
 from localization.filters.odometry import OdometryNoise, relative_step
 from localization.live.log import new_echoes
 from nclient.cli.main import main as nomad

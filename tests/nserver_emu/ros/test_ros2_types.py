@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from nclient.recording import ros_messages
-from nclient.recording.ros_types import FieldType, MessageBuilder
-from nserver_emu.ros2.options import DISTROS
-from nserver_emu.ros2.types import RosTypes, topic_in_dds
-from nserver_emu.rosbridge import topics
+from nclient.recording.ros_messages import FieldType, MessageBuilder
+from nserver_emu.ros import topics
+from nserver_emu.ros.dds import RosTypes, topic_in_dds
+from nserver_emu.ros.options import DISTROS
 from worlds.robots import N150
 
 JAZZY = RosTypes("jazzy")

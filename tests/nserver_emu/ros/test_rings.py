@@ -7,9 +7,9 @@ import math
 import pytest
 
 from nclient.recording.ros_messages import RANGE, SCAN, Message
-from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.readings import RobotReader
-from nserver_emu.rosbridge.topics import Estimates
+from nserver_emu.ros import topics
+from nserver_emu.ros.readings import RobotReader
+from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import RobotModel, parse_models

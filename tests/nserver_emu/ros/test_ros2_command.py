@@ -12,11 +12,11 @@ import pytest
 
 from nclient import connect
 from nclient.cli.main import main
-from nserver_emu.ros2 import options as ros2_options
-from nserver_emu.ros2.options import LOOPBACK, config_of
+from nserver_emu.ros import options as ros2_options
+from nserver_emu.ros.options import LOOPBACK, config_of
 from tests.integration.test_rosbridge_command import running
-from tests.nserver_emu.ros2.other_side import free_domain
-from tests.nserver_emu.ros2.test_ros2 import SUBSCRIBER
+from tests.nserver_emu.ros.other_side import free_domain
+from tests.nserver_emu.ros.test_ros2 import SUBSCRIBER
 from tests.programs.forked import Forked
 
 DOMAIN = str(free_domain())

@@ -13,8 +13,8 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from nserver_emu.ros2.options import LOOPBACK, config_of
-from nserver_emu.ros2.types import RosTypes, topic_in_dds
+from nserver_emu.ros.dds import RosTypes, topic_in_dds
+from nserver_emu.ros.options import LOOPBACK, config_of
 
 TYPES = RosTypes("jazzy")
 RELIABLE = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10),

@@ -14,30 +14,20 @@ import logging
 from collections.abc import AsyncIterator, Set
 from typing import Any, Final
 
-from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp import WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
 from nclient.common.hints import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
-from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
-from nserver_emu.rosbridge.readings import RobotReader, map_message, rings_of
-from nserver_emu.rosbridge.topics import Estimates
+from nserver_emu.ros import topics
+from nserver_emu.ros.client import InvalidRequest, RosbridgeClient, Services, encode_published, short_type
+from nserver_emu.ros.readings import RobotReader, map_message, rings_of
+from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import auth
 from nserver_emu.viewer.clients import ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.http_port import (
-    CLOSING_S,
-    HEARTBEAT_S,
-    HttpPort,
-    PageMessages,
-    PageWriter,
-    clear_tracebacks,
-    loop_time,
-    next_due,
-    transport_of,
-)
+from nserver_emu.viewer.http_port import HttpPort, PageMessages, PageWriter, loop_time
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, MAX_TEXT, InvalidMessage, parse_estimate
 from worlds.world import World
 
@@ -64,14 +54,12 @@ class RosbridgeServer:
         self._origins = origins
         self._error_boundary = ErrorBoundary("rosbridge")
         self._clients: dict[RosbridgeClient, PageWriter] = {}
-        self._sockets: set[web.WebSocketResponse] = set()
         self._clients_made = 0
         # The world of /map, and the message about it.
         self._map: tuple[World, str] | None = None
         self._estimates = estimates or Estimates()
         self._reader = RobotReader(daemon, "rosbridge", self._error_boundary, self._offer, self._estimates)
         self._host_name = LOOPBACK_NAME
-        self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Start serving; return the port (port 0 takes a free one).
@@ -86,20 +74,13 @@ class RosbridgeServer:
         app.router.add_post("/publish", self._publish)
         app.router.add_get("/{path:.*}", self._socket)
         port = await self._port.open(app, host, port)
-        self._clock = asyncio.create_task(self._run_clock())
+        self._port.start_clock(self._tick)
         return port
 
     async def close(self) -> None:
         """Stop serving; robots that clients drive stop. May be called twice."""
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
-        closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
-        await asyncio.gather(*closing, return_exceptions=True)
-        self._reader.close()
         await self._port.close()
+        self._reader.close()
 
     # -- requests
 
@@ -132,46 +113,31 @@ class RosbridgeServer:
         is_unnamed = origin is not None and origin not in self._origins
         if is_unnamed and not auth.is_same_origin(origin or "", request.scheme, request.host):
             raise web.HTTPForbidden(text=f"pages of {origin!a:.80} may not connect (--rosbridge-origin)\n")
-        if len(self._sockets) >= self._port.door.limits.viewers:
-            self._port.door.reject(request.remote or "", "too many rosbridge clients (--limit-viewers)")
-            raise web.HTTPServiceUnavailable(text="too many clients: close one (--limit-viewers)\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S,
-                                       max_msg_size=MAX_MESSAGE)  # fmt: skip
-        self._sockets.add(socket)
-        try:
-            await socket.prepare(request)
-            writer = PageWriter(socket, transport_of(request), loop_time())
-        except BaseException:
-            self._sockets.discard(socket)
-            raise
-        # 2. Its messages are handled in order until it closes, which stops what it drives.
-        self._clients_made += 1
-        robots = ViewerClients(self._daemon, f"rosbridge {self._clients_made}", self._error_boundary)
-        client = RosbridgeClient(robots, self._services(), may_act=may_act)
-        self._clients[client] = writer
-        backlog = Backlog()
-        messages = PageMessages(
-            self._daemon.scheduler,
-            lambda text: self._handle(client, text, is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S),
-            self._port.door.limits.page_rate,
-        )
-        try:
-            async for message in socket:
-                backlog.message_received()
-                if message.type == WSMsgType.TEXT:
-                    if MAP in message.data:
-                        await self._prepare_map()
-                    await messages.handle(message.data)
-                    await self._send(client)
-                await asyncio.sleep(0)
-                backlog.expect_message()
-        finally:
-            self._sockets.discard(socket)
-            del self._clients[client]
-            robots.close()
-            if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
-                writer.abort()
-            clear_tracebacks(socket.exception())
+        async with self._port.websocket(request, "rosbridge clients", MAX_MESSAGE) as (socket, writer):
+            # 2. Its messages are handled in order until it closes, which stops what it drives.
+            self._clients_made += 1
+            robots = ViewerClients(self._daemon, f"rosbridge {self._clients_made}", self._error_boundary)
+            client = RosbridgeClient(robots, self._services(), may_act=may_act)
+            self._clients[client] = writer
+            backlog = Backlog()
+            messages = PageMessages(
+                self._daemon.scheduler,
+                lambda text: self._handle(client, text, is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S),
+                self._port.door.limits.page_rate,
+            )
+            try:
+                async for message in socket:
+                    backlog.message_received()
+                    if message.type == WSMsgType.TEXT:
+                        if MAP in message.data:
+                            await self._prepare_map()
+                        await messages.handle(message.data)
+                        await self._send(client)
+                    await asyncio.sleep(0)
+                    backlog.expect_message()
+            finally:
+                del self._clients[client]
+                robots.close()
         return socket
 
     def _handle(self, client: RosbridgeClient, text: str, *, is_late: bool) -> None:
@@ -214,16 +180,12 @@ class RosbridgeServer:
 
     # -- publishing
 
-    async def _run_clock(self) -> None:
-        due = loop_time()
-        while True:
-            due = next_due(due, loop_time())
-            await asyncio.sleep(due - loop_time())
-            if self._clients:
-                with self._error_boundary.guard("the clock"):
-                    await self._tick()
-
     async def _tick(self) -> None:
+        if self._clients:
+            with self._error_boundary.guard("the clock"):
+                await self._update_clients()
+
+    async def _update_clients(self) -> None:
         """Stop robots whose driver is silent, read those that are watched, send what is due.
 
         An error of one robot or client does not affect others.
@@ -285,7 +247,6 @@ class Backlog:
 
     def _turned(self) -> None:
         self._has_turned = True
-
 
 
 @contextlib.asynccontextmanager

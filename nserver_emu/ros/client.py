@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from nserver_emu.rosbridge import topics
+from nserver_emu.ros import topics
 from nserver_emu.viewer.clients import ViewerClients
 
 log = logging.getLogger(__name__)

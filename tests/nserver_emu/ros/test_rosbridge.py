@@ -17,11 +17,11 @@ import pytest
 
 from nclient.errors import ConnectionLost
 from nserver_emu.options import nserver_parser, read_options
-from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services, encode_published
-from nserver_emu.rosbridge.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
-from nserver_emu.rosbridge.server import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
-from nserver_emu.rosbridge.topics import Reading
+from nserver_emu.ros import topics
+from nserver_emu.ros.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services, encode_published
+from nserver_emu.ros.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
+from nserver_emu.ros.rosbridge import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
+from nserver_emu.ros.topics import Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.clients import ViewerClients

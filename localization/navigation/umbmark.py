@@ -15,27 +15,22 @@ Borenstein, Feng: Measurement and correction of systematic odometry errors in mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from math import cos, degrees, hypot, pi, radians, tau
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import Filter, LocalizationConfig
-from localization.filters.belief import HEADING, Belief, Floats, wrap_angle
+from localization.filters.belief import HEADING, Belief, Floats
 from localization.filters.calibration import OFFSET, OWN, RING_TURN
 from localization.filters.odometry import OdometryParameter
-from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import restart_ring
 from localization.navigation.control_law import bearing_error, distance_to
 from localization.navigation.limits import VelocityCommand
 from localization.navigation.path import sample_waypoints
+from localization.navigation.path_follower import TurnProgress
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
-from localization.navigation.waypoints import COMMAND_TIMEOUT_S, drive_unless_held, stop_on_exit, wait_for_next_state
 from nclient.errors import NomadError
-from nclient.robot import Robot
-from nclient.state import RobotState
 from worlds.robots import Calibration, Spread
 from worlds.world import World
 
@@ -220,11 +215,15 @@ class Driver:
     ) -> None:
         self._tasks, self._more = list(tasks), more
         self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
-        self.done = 0
+        self.passed = 0
         """Number of completed tasks."""
         self._aimed = False
-        self._turned_rad = 0.0
-        self._heading: float | None = None
+        self._spin: TurnProgress | None = None
+
+    @property
+    def finished(self) -> bool:
+        """True if all tasks are done."""
+        return self.passed == len(self._tasks)
 
     @property
     def count(self) -> int:
@@ -234,30 +233,28 @@ class Driver:
     @property
     def goal(self) -> Floats | None:
         """Current goal (2,); None during turns in place and at the end."""
-        task = self._tasks[self.done] if self.done < len(self._tasks) else None
+        task = None if self.finished else self._tasks[self.passed]
         return np.array(task) if isinstance(task, DriveTo) else None
 
     def command(self, pose: Floats) -> VelocityCommand | None:
         """Return the velocities at a pose (3,); None when all tasks are done."""
-        # 1. Sum of wrapped heading changes: a spin of several turns cannot be read from the heading itself.
-        if self._heading is not None:
-            self._turned_rad += float(wrap_angle(np.asarray(pose[HEADING] - self._heading)))
-        self._heading = float(pose[HEADING])
-        # 2. The first task that is not finished yet; finished ones return no command.
-        while self.done < len(self._tasks):
-            task = self._tasks[self.done]
-            command = self._spin(task) if isinstance(task, Spin) else self._drive_to(pose, task)
+        # The first task that is not finished yet; finished ones return no command.
+        while not self.finished:
+            task = self._tasks[self.passed]
+            command = self._turn(pose, task) if isinstance(task, Spin) else self._drive_to(pose, task)
             if command is not None:
                 return command
-            self.done += 1
-            self._aimed, self._turned_rad = False, 0.0
-            if self.done == len(self._tasks):
+            self.passed += 1
+            self._aimed, self._spin = False, None
+            if self.passed == self.count:
                 self._tasks += self._more()
         return None
 
-    def _spin(self, task: Spin) -> VelocityCommand | None:
+    def _turn(self, pose: Floats, task: Spin) -> VelocityCommand | None:
+        heading_rad = float(pose[HEADING])
+        self._spin = self._spin or TurnProgress(heading_rad, task.angle_rad)
         # Finished also if it turned too far: the sign of the remaining angle differs then.
-        left = task.angle_rad - self._turned_rad
+        left = self._spin.remaining_rad(heading_rad)
         if left * task.angle_rad <= 0.0 or abs(left) < AIMED_RAD:
             return None
         return VelocityCommand(0.0, self._turn_rate(left))
@@ -296,44 +293,6 @@ class LapPolicy:
             return ()
         self.begun += 1
         return self._lap
-
-
-class CalibrationStep(NamedTuple):
-    """One period of the run: estimate, state, number of completed tasks."""
-
-    estimate: Estimate
-    state: RobotState
-    done: int
-
-
-def run(
-    robot: Robot, config: LocalizationConfig, method: Filter, driver: Driver, wait: Callable[[float], None]
-) -> Generator[CalibrationStep, None, None]:
-    """Drive all tasks and yield each period; the robot is stopped at the end in any case.
-
-    `wait(seconds)` lets time of the robot pass. A turret turns with the steering, so that every sonar measures every
-    wall.
-    """
-    # 1. Firing schedule: the clock of this reply is that of the first sonar.
-    schedule, state = restart_ring(robot, config.body.ring)
-    localizer = Localizer(config, method.belief, schedule, method)
-    # 2. The robot stops by itself if this program dies.
-    robot.set_timeout(COMMAND_TIMEOUT_S)
-    with stop_on_exit(robot):
-        # 3. One period: estimate, command, next state.
-        while True:
-            estimate = localizer.update(state)
-            command = driver.command(estimate.pose)
-            yield CalibrationStep(estimate, state, driver.done)
-            if command is None:
-                return
-            state = wait_for_next_state(robot, state, _drive(robot, command), wait)
-
-
-def _drive(robot: Robot, command: VelocityCommand) -> RobotState:
-    translation_in_s, steering_rad_s = command
-    turret = {"turret_rad_s": steering_rad_s} if robot.model.has_turret else {}
-    return drive_unless_held(robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, **turret)
 
 
 TYPICAL_SCALE, TYPICAL_DRIFT, TYPICAL_RING, TYPICAL_SONAR = 0.03, 0.00075, radians(3.0), 1.0

@@ -8,7 +8,10 @@ from math import hypot, pi, tau
 import numpy as np
 import pytest
 
-from localization.calibration.procedure import (
+from localization.filters.belief import HEADING
+from localization.filters.odometry import move
+from localization.navigation.roadmap import NoPathError, segment_clearances
+from localization.navigation.umbmark import (
     MARGIN_IN,
     Driver,
     DriveTo,
@@ -20,9 +23,6 @@ from localization.calibration.procedure import (
     path_to,
     tasks,
 )
-from localization.filters.belief import HEADING
-from localization.filters.odometry import move
-from localization.navigation.roadmap import NoPathError, segment_clearances
 from localization.navigation.waypoints import PERIOD_S
 from worlds.io import load_world, world_names
 from worlds.world import Polygon, World
@@ -115,9 +115,9 @@ def test_the_driver_goes_round_and_turns_as_reported() -> None:
     pose, turned, places = np.array([0.0, 0.0, 2.0]), [0.0, 0.0], []
     # At most 400 s, in periods of 0.1 s.
     for _ in range(4000):
-        done = driver.done
+        done = driver.passed
         command = driver.command(pose)
-        if driver.done > done:
+        if driver.passed > done:
             places.append(pose[:2].copy())
         if command is None:
             break
@@ -131,7 +131,7 @@ def test_the_driver_goes_round_and_turns_as_reported() -> None:
         off_side = min(abs(pose[0] - 10.0), abs(pose[0] - 70.0), abs(pose[1] - 10.0), abs(pose[1] - 70.0))
         assert len(places) == 0 or off_side < 1.5
     # 17 tasks: sides, corners and turns on the spot.
-    assert driver.done == driver.count == 17
+    assert driver.passed == driver.count == 17
     assert hypot(pose[0] - 10.0, pose[1] - 10.0) < 1.0
     # Four full turns and four quarter turns in each direction; it stops within its tolerance.
     assert turned[0] == pytest.approx(4 * tau + 4 * pi / 2, abs=2.0)
@@ -142,7 +142,7 @@ def test_a_goal_that_was_passed_by_is_behind() -> None:
     driver = Driver([DriveTo(10.0, 0.0)], 10.0, 0.5)
     assert driver.command(np.array([0.0, 0.0, 0.0])) is not None
     assert driver.command(np.array([12.0, 0.5, 0.0])) is None
-    assert driver.done == 1
+    assert driver.passed == 1
 
 
 def test_goal_to_the_side_is_turned_to_before_driving() -> None:

@@ -18,8 +18,8 @@ import numpy as np
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import MOTOR_RANGE_V, volts
 from nclient.recording.ros_messages import TF, Message
-from nserver_emu.rosbridge import topics
-from nserver_emu.rosbridge.topics import Estimates, Reading
+from nserver_emu.ros import topics
+from nserver_emu.ros.topics import Estimates, Reading
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 from cyclonedds.qos import Policy
 
-from nserver_emu.ros2.node import running_node
-from nserver_emu.ros2.options import LOOPBACK, config_of
-from nserver_emu.rosbridge.readings import MAX_DELAY_S, RobotClock
-from nserver_emu.rosbridge.topics import Estimates
+from nserver_emu.ros.dds import running_node
+from nserver_emu.ros.options import LOOPBACK, config_of
+from nserver_emu.ros.readings import MAX_DELAY_S, RobotClock
+from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, parse_estimate
-from tests.nserver_emu.ros2.other_side import (
+from tests.nserver_emu.ros.other_side import (
     BEST_EFFORT,
     LATCHED,
     RELIABLE,
@@ -32,7 +32,7 @@ from tests.nserver_emu.ros2.other_side import (
     take_bytes,
     twist,
 )
-from tests.nserver_emu.rosbridge.test_rosbridge import ESTIMATE
+from tests.nserver_emu.ros.test_rosbridge import ESTIMATE
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import World
 
@@ -262,7 +262,7 @@ def test_times_follow_the_robots_clock() -> None:
 
 SUBSCRIBER = """
 import sys, time
-from tests.nserver_emu.ros2.other_side import *
+from tests.nserver_emu.ros.other_side import *
 here = OtherSide(int(sys.argv[1]), own_domain=True)
 odometry, velocity = here.reader("/robot1/odom", "nav_msgs/msg/Odometry"), here.writer("/robot1/cmd_vel")
 far = 0.0

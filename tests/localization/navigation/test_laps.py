@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.calibration.procedure import Driver, DriveTo, LapPolicy, Spin, Task
 from localization.navigation.limits import VelocityCommand
+from localization.navigation.umbmark import Driver, DriveTo, LapPolicy, Spin, Task
 
 LAP: list[Task] = [Spin(0.01), DriveTo(0.0, 0.0)]
 
@@ -23,6 +23,6 @@ def test_a_driver_asks_for_more_when_all_is_done() -> None:
     driver = Driver([DriveTo(0.0, 0.0)], 1.0, 1.0, rounds.more)
     here = np.zeros(3)
     assert driver.command(here) == VelocityCommand(0.0, 1.0)
-    assert (driver.done, driver.count, rounds.begun) == (1, 2, 2)
+    assert (driver.passed, driver.count, rounds.begun) == (1, 2, 2)
     assert driver.command(np.array([0.0, 5.0, 1.57])) is None
-    assert (driver.done, driver.count, rounds.begun) == (3, 3, 3)
+    assert (driver.passed, driver.count, rounds.begun) == (3, 3, 3)
