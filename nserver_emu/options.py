@@ -10,8 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, protect_coordinates, whole_number
-from nclient.common.hints import suggest, version
+from nclient.common.arguments import (
+    ABOVE_ZERO,
+    Parser,
+    add_flag,
+    add_version,
+    number,
+    protect_coordinates,
+    whole_number,
+)
+from nclient.common.hints import suggest
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
@@ -62,7 +70,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
-    parser.add_argument("--version", action="version", version=f"nserver {version()}")
+    add_version(parser)
     return parser
 
 

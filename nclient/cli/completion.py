@@ -12,7 +12,6 @@ import argparse
 import re
 import shlex
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import shtab
 
 from nclient.cli.state_text import PARTS
 from nclient.common.arguments import Parser
+from nclient.common.hints import entry_points
 from nclient.common.process import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS

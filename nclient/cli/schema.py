@@ -11,11 +11,11 @@ such errors are found when the file is read. Its keywords are those of draft 7, 
 import argparse
 import json
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from typing import Any, Final, get_args
 
 import msgspec
 
+from nclient.common.hints import entry_points
 from nclient.common.process import ExitCode
 
 GROUP: Final = "nomad.schemas"
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 def file_schema(kind: str) -> dict[str, Any]:
     """Return the schema of a kind of file."""
-    (point,) = entry_points(group=GROUP, name=kind)
+    (point,) = entry_points(group=GROUP).select(name=kind)
     return json_schema(point.load())
 
 

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
-from nclient.common.hints import closest_match, suggest
+from nclient.common.hints import closest_match, suggest, version
 from nclient.common.process import ExitCode
 
 MAX_DIGITS = 18
@@ -129,6 +129,20 @@ def add_value(
 def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
     """Add an option without a value."""
     parser.add_argument(name, action="store_true", help=about)
+
+
+class _PrintVersion(argparse.Action):
+    """Print the installed version and exit. argparse's own action takes a text, for which each start would read it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {version()}")
+        parser.exit()
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add --version."""
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, default=argparse.SUPPRESS,
+                        help="show program's version number and exit")  # fmt: skip
 
 
 def add_address(parser: argparse.ArgumentParser, default: str = "robot 1 of a local nserver") -> None:

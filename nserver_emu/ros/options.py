@@ -14,7 +14,6 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
@@ -107,6 +106,8 @@ def config_of(interface: str) -> str | None:
     if interface == ANY:
         return None
     if interface != LOOPBACK:
+        from xml.sax.saxutils import quoteattr  # here: it imports the HTTP client
+
         # An address has digits and points or colons; a name is that of the system.
         attribute = "address" if ":" in interface or interface.replace(".", "").isdecimal() else "name"
         general = f"<Interfaces><NetworkInterface {attribute}={quoteattr(interface)}/></Interfaces>"
