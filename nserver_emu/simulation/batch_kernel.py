@@ -51,6 +51,7 @@ log = logging.getLogger(__name__)
 
 Records = npt.NDArray[np.void]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
 NEVER_PS: Final = 2**63 - 1
 """An instant that is never reached."""
@@ -158,9 +159,10 @@ def make_loops(checksum: int) -> Loops:
         assert checksum >= 0
 
     def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
-        candidates = np.empty((5, walls.shape[1]))
+        found = np.empty(walls.shape[1] + 1, dtype=np.int64)
+        products, candidates = np.empty(walls.shape[1]), np.empty((4, walls.shape[1]))
         for i in range(len(robots)):
-            _measure(robots[i], settings[0], walls, candidates)
+            _measure(robots[i], settings[0], walls, products, found, candidates)
             robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
         assert checksum >= 0
 
@@ -486,19 +488,22 @@ def _fire(
     robot["is_pending"][sonar_number] = 1
 
 
-def _measure(robot: np.void, settings: np.void, walls: FloatArray, candidates: FloatArray) -> None:
+def _measure(
+    robot: np.void, settings: np.void, walls: FloatArray, products: FloatArray, found: IntArray, candidates: FloatArray
+) -> None:
     """Compute the readings of the sonars that have fired since the last call."""
-    # Columns one by one: a slice of two dimensions has strides, and loops over it do not use vectors.
+    # Columns one by one, once for all rays.
+    columns = walls[0], walls[1], walls[2], walls[3]
     begin, end = robot["wall_begin"], robot["wall_end"]
-    columns = walls[0, begin:end], walls[1, begin:end], walls[2, begin:end], walls[3, begin:end]
     for number in range(settings["sonars"]):
         if robot["is_pending"][number]:
             robot["is_pending"][number] = 0
             if not settings["is_dead"][number]:
                 ping = robot["pings"][number]
                 range_in = noisy_range(
-                    _range_from_axis(ping[0], ping[1], cos(ping[2]), sin(ping[2]), columns, candidates)
-                    - settings["ring_in"],
+                    _range_from_axis(
+                        ping[0], ping[1], cos(ping[2]), sin(ping[2]), columns, begin, end, products, found, candidates
+                    ) - settings["ring_in"],
                     ping[3], settings["range_std_relative"], settings["range_std_floor_in"],
                 )  # fmt: skip
                 robot["readings_in"][number] = quantized_range(
@@ -508,32 +513,36 @@ def _measure(robot: np.void, settings: np.void, walls: FloatArray, candidates: F
 
 
 def _range_from_axis(
-    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], candidates: FloatArray
-) -> float:
-    """Return the range of `nearest_wall`, to the same bit.
+    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], begin: int, end: int,
+    products: FloatArray, found: IntArray, candidates: FloatArray,
+) -> float:  # fmt: skip
+    """Return the range of `nearest_wall` among the walls from row `begin` to `end`, to the same bit.
 
     Parameters
     ----------
     columns
         x1, y1, x2, y2 of m walls.
-    candidates
-        (5, m or more), overwritten.
+    products, found, candidates
+        (m,), (m + 1,) and (4, m), overwritten.
     """
-    # 1. The walls that `nearest_wall` skips in its first step, in a loop without branches, which uses vectors.
-    products = candidates[0]
+    # 1. The walls that `nearest_wall` skips in its first step, in a loop without branches. Rows are unsigned: others
+    #    may count from the end, and with the test for that LLVM uses no vectors.
     x1, y1, x2, y2 = columns
-    for row in range(len(x1)):
+    for row in range(np.uint64(begin), np.uint64(end)):
         side_1 = dx * (y1[row] - y_in) - dy * (x1[row] - x_in)
         side_2 = dx * (y2[row] - y_in) - dy * (x2[row] - x_in)
         products[row] = side_1 * side_2
-    # 2. The others, of which few are left.
-    found = 0
-    for row in range(len(x1)):
-        if products[row] <= SAME_SIDE_IN2:
-            candidates[1, found], candidates[2, found] = x1[row], y1[row]
-            candidates[3, found], candidates[4, found] = x2[row], y2[row]
-            found += 1
-    rows = zip(candidates[1, :found], candidates[2, :found], candidates[3, :found], candidates[4, :found])  # noqa: B905
+    # 2. The rows of the others, without a branch either: which they are cannot be predicted.
+    count = 0
+    for row in range(begin, end):
+        found[count] = row
+        count += 1 if products[row] <= SAME_SIDE_IN2 else 0
+    # 3. Few are left.
+    for at in range(count):
+        row = found[at]
+        candidates[0, at], candidates[1, at] = x1[row], y1[row]
+        candidates[2, at], candidates[3, at] = x2[row], y2[row]
+    rows = zip(candidates[0, :count], candidates[1, :count], candidates[2, :count], candidates[3, :count])  # noqa: B905
     return nearest_wall(x_in, y_in, dx, dy, rows)[0]
 
 
