@@ -43,7 +43,7 @@ from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegmen
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
 from worlds.geometry import FloatArray
-from worlds.raycast import SAME_SIDE_IN2, nearest_wall
+from worlds.raycast import ON_LINE_IN, ON_WALL_IN, mean_ahead, nearest_wall
 from worlds.rings import MAX_SONARS, quantized_range
 from worlds.robots import MAX_BUMPERS
 
@@ -51,7 +51,6 @@ log = logging.getLogger(__name__)
 
 Records = npt.NDArray[np.void]
 BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 NEVER_PS: Final = 2**63 - 1
 """An instant that is never reached."""
@@ -159,10 +158,9 @@ def make_loops(checksum: int) -> Loops:
         assert checksum >= 0
 
     def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
-        found = np.empty(walls.shape[1] + 1, dtype=np.int64)
-        products, candidates = np.empty(walls.shape[1]), np.empty((4, walls.shape[1]))
+        ranges = np.empty(walls.shape[1])
         for i in range(len(robots)):
-            _measure(robots[i], settings[0], walls, products, found, candidates)
+            _measure(robots[i], settings[0], walls, ranges)
             robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
         assert checksum >= 0
 
@@ -449,11 +447,16 @@ def _fire_along(
     before_s = taken_s - TIME_TOLERANCE_S
     into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
     heading = robot["angles"][STEERING] + robot["pose"][YAW]
+    round_ps = settings["entries"] * settings["interval_ps"]
     while into_s < before_s:
-        into_s = max(into_s, 0.0)
-        turret_rad = _turret_direction(robot, _turret_after(robot, settings, into_s))
-        dx, dy = segment.displacement(heading, into_s)
-        _fire_entry(robot, settings, robot["pose"][X] + dx, robot["pose"][Y] + dy, turret_rad)
+        # A ping that the same sonars repeat within this segment leaves nothing but its noise.
+        if (robot["due_ps"] + round_ps - robot["time_ps"]) / PS_PER_S - begin_s < before_s:
+            _skip_entry(robot, settings)
+        else:
+            into_s = max(into_s, 0.0)
+            turret_rad = _turret_direction(robot, _turret_after(robot, settings, into_s))
+            dx, dy = segment.displacement(heading, into_s)
+            _fire_entry(robot, settings, robot["pose"][X] + dx, robot["pose"][Y] + dy, turret_rad)
         into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
 
 
@@ -475,6 +478,16 @@ def _fire_entry(
     robot["due_ps"] += settings["interval_ps"]
 
 
+def _skip_entry(robot: np.void, settings: np.void) -> None:
+    """Fire the next entry of the order without a ping: only its noise is drawn."""
+    if settings["has_sonar_noise"]:
+        entry = robot["fired"] % settings["entries"]
+        for _ in range(settings["starts"][entry], settings["starts"][entry + 1]):
+            standard_normal(robot["streams"][SONAR])
+    robot["fired"] += 1
+    robot["due_ps"] += settings["interval_ps"]
+
+
 def _fire(
     robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float,
     turret_rad: float,
@@ -488,62 +501,81 @@ def _fire(
     robot["is_pending"][sonar_number] = 1
 
 
-def _measure(
-    robot: np.void, settings: np.void, walls: FloatArray, products: FloatArray, found: IntArray, candidates: FloatArray
-) -> None:
-    """Compute the readings of the sonars that have fired since the last call."""
+def _measure(robot: np.void, settings: np.void, walls: FloatArray, ranges: FloatArray) -> None:
+    """Compute the readings of the sonars that have fired since the last call; `ranges` (m,) is overwritten."""
     # Columns one by one, once for all rays.
     columns = walls[0], walls[1], walls[2], walls[3]
     begin, end = robot["wall_begin"], robot["wall_end"]
+    is_complete = True
     for number in range(settings["sonars"]):
         if robot["is_pending"][number]:
-            robot["is_pending"][number] = 0
-            if not settings["is_dead"][number]:
-                ping = robot["pings"][number]
-                range_in = noisy_range(
-                    _range_from_axis(
-                        ping[0], ping[1], cos(ping[2]), sin(ping[2]), columns, begin, end, products, found, candidates
-                    ) - settings["ring_in"],
-                    ping[3], settings["range_std_relative"], settings["range_std_floor_in"],
-                )  # fmt: skip
-                robot["readings_in"][number] = quantized_range(
-                    range_in + settings["offsets_in"][number], settings["min_range_in"], settings["max_range_in"],
-                    settings["resolution_in"], settings["no_echo_in"],
-                )  # fmt: skip
+            x_in, y_in, direction_rad, _ = robot["pings"][number]
+            range_in = _range_from_axis(x_in, y_in, cos(direction_rad), sin(direction_rad), columns, begin, end, ranges)
+            if range_in >= 0.0:
+                _read(robot, settings, number, range_in)
+            else:
+                is_complete = False
+    # The others, in a loop of their own: numba counts the references to arrays even where `nearest_wall` is not called.
+    if not is_complete:
+        for number in range(settings["sonars"]):
+            if robot["is_pending"][number]:
+                x_in, y_in, direction_rad, _ = robot["pings"][number]
+                x1, y1, x2, y2 = columns
+                rows = zip(x1[begin:end], y1[begin:end], x2[begin:end], y2[begin:end])  # noqa: B905  for numba
+                range_in = nearest_wall(x_in, y_in, cos(direction_rad), sin(direction_rad), rows)[0]
+                _read(robot, settings, number, range_in)
+
+
+def _read(robot: np.void, settings: np.void, sonar_number: int, from_axis_in: float) -> None:
+    """Set the reading of a sonar that has fired, from its true range."""
+    robot["is_pending"][sonar_number] = 0
+    if not settings["is_dead"][sonar_number]:
+        range_in = noisy_range(
+            from_axis_in - settings["ring_in"], robot["pings"][sonar_number][3], settings["range_std_relative"],
+            settings["range_std_floor_in"],
+        )  # fmt: skip
+        robot["readings_in"][sonar_number] = quantized_range(
+            range_in + settings["offsets_in"][sonar_number], settings["min_range_in"], settings["max_range_in"],
+            settings["resolution_in"], settings["no_echo_in"],
+        )  # fmt: skip
+
+
+UNDECIDED: Final = -1.0
+"""Stands for the range of a ray along a wall, or through an end of one: `nearest_wall` computes it."""
 
 
 def _range_from_axis(
     x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], begin: int, end: int,
-    products: FloatArray, found: IntArray, candidates: FloatArray,
+    ranges: FloatArray,
 ) -> float:  # fmt: skip
-    """Return the range of `nearest_wall` among the walls from row `begin` to `end`, to the same bit.
+    """Return the range of `nearest_wall` among the walls from row `begin` to `end`, or UNDECIDED.
 
     Parameters
     ----------
     columns
         x1, y1, x2, y2 of m walls.
-    products, found, candidates
-        (m,), (m + 1,) and (4, m), overwritten.
+    ranges
+        (m,), overwritten.
     """
-    # 1. The walls that `nearest_wall` skips in its first step, in a loop without branches. Rows are unsigned: others
-    #    may count from the end, and with the test for that LLVM uses no vectors.
+    # The range to each wall without a branch: LLVM computes several at a time, and which walls a ray meets cannot be
+    # predicted. Rows are unsigned: others may count from the end, and with the test for that it uses no vectors.
     x1, y1, x2, y2 = columns
     for row in range(np.uint64(begin), np.uint64(end)):
-        side_1 = dx * (y1[row] - y_in) - dy * (x1[row] - x_in)
-        side_2 = dx * (y2[row] - y_in) - dy * (x2[row] - x_in)
-        products[row] = side_1 * side_2
-    # 2. The rows of the others, without a branch either: which they are cannot be predicted.
-    count = 0
-    for row in range(begin, end):
-        found[count] = row
-        count += 1 if products[row] <= SAME_SIDE_IN2 else 0
-    # 3. Few are left.
-    for at in range(count):
-        row = found[at]
-        candidates[0, at], candidates[1, at] = x1[row], y1[row]
-        candidates[2, at], candidates[3, at] = x2[row], y2[row]
-    rows = zip(candidates[0, :count], candidates[1, :count], candidates[2, :count], candidates[3, :count])  # noqa: B905
-    return nearest_wall(x_in, y_in, dx, dy, rows)[0]
+        to_x_1, to_y_1, to_x_2, to_y_2 = x1[row] - x_in, y1[row] - y_in, x2[row] - x_in, y2[row] - y_in
+        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        range_in = mean_ahead(ahead_1, side_1, ahead_2, side_2)
+        met_in = max(range_in, 0.0) if (side_1 * side_2 <= 0.0) & (range_in >= -ON_WALL_IN) else inf
+        ranges[row] = UNDECIDED if min(abs(side_1), abs(side_2)) <= ON_LINE_IN else met_in
+    return _smallest(ranges, begin, end)
+
+
+def _smallest(values: FloatArray, begin: int, end: int) -> float:
+    """Return the smallest of the values from row `begin` to `end`; none is NaN."""
+    smallest = inf
+    for row in range(np.uint64(begin), np.uint64(end)):
+        smallest = min(smallest, values[row])
+    return smallest
 
 
 # Compiling.
@@ -560,11 +592,11 @@ _FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (
     collision._solve, collision._to_circle, collision._length, collision.touched_bumpers, drive.axis_rates,
     drive.path_segment, drive.until_reversal, noise._walk_std, noise.disturbed_segment, odometry.erroneous_segment,
     segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range, sonar.shifted,
-    raycast.nearest_wall, raycast.intersect, rings.quantized_range,
+    raycast.nearest_wall, raycast.intersect, raycast.mean_ahead, rings.quantized_range,
     _command, _start_ring, _advance, _move_at,
     _move_by, _begin, _now, _after, _advance_axis, _halt, _segment, _advance_drive, _turret_after,
     _turret_direction, _move, _follow, _turn_uncounted, _contact, _walls_within, _bumpers, _fire_along, _fire_due,
-    _fire_entry, _fire, _measure, _range_from_axis,
+    _fire_entry, _skip_entry, _fire, _measure, _read, _range_from_axis,
 )  # fmt: skip
 
 _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Capsule, Contact, PlacedSegment)
@@ -580,6 +612,8 @@ def load_loops() -> Loops:
         for name, method in vars(kind).items():
             if isfunction(method) and not name.startswith("__"):
                 extending.overload_method(types.BaseNamedTuple, name)(_of_class(kind, method))
+    # Vectors for the minimum, whose result they do not change: nothing is NaN, and zeros of both signs become one.
+    extending.register_jitable(fastmath={"nnan", "nsz"})(_smallest)
     extending.overload(math.remainder, strict=False)(_remainder_form)
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
     checksum = 0
@@ -591,10 +625,10 @@ def load_loops() -> Loops:
 def _compiled(loop: Callable[..., None]) -> Callable[..., None]:
     # Threads run a loop on parts of the array. numba's own parallel loops would compile every function twice.
     try:
-        compiled: Any = numba.njit(nogil=True, cache=True)(loop)
+        compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(loop)
         is_cached = any(Path(compiled.stats.cache_path).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi"))
     except RuntimeError:  # no writable directory for the cache
-        compiled, is_cached = numba.njit(nogil=True)(loop), False
+        compiled, is_cached = numba.njit(nogil=True, error_model="numpy")(loop), False
     if not is_cached:
         log.warning("compiling the batch simulation with numba; the result is cached function=%s", loop.__name__)
     return cast("Callable[..., None]", compiled)
