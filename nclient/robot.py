@@ -161,7 +161,7 @@ class Robot:
         return self._backend.wire_state.model
 
     def _repr_html_(self) -> str:
-        from nclient.picture import state_html  # only notebooks need it
+        from nclient.state import state_html  # only notebooks need it
 
         return state_html(self.state, ", disconnected" if self.closed else "")
 

@@ -24,7 +24,7 @@ from statistics import fmean
 from typing import Any, Final, NamedTuple
 
 from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import NomadError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply

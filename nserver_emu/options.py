@@ -6,19 +6,17 @@ Files are only checked for existence here. Options of a package are defined in t
 """
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, whole_number
+from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, protect_coordinates, whole_number
 from nclient.common.hints import suggest, version
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import options as restore_options
-from nserver_emu.ros2 import options as ros2_options
-from nserver_emu.rosbridge import options as rosbridge_options
+from nserver_emu.ros import options as ros_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
 from nserver_emu.server.daemon import LOOPBACK
@@ -60,8 +58,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     _add_persistence(parser)
     _add_setup(parser)
     # Packages add their own options, in the order of --help.
-    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, rosbridge_options,
-                    ros2_options):
+    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, ros_options):
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
@@ -120,7 +117,7 @@ def _add_setup(parser: Parser) -> None:
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
     # 1. Old spellings and coordinates, then argparse.
-    words = [_as_value(as_long_option(word)) for word in words]
+    words = [protect_coordinates(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     # 2. Positional words: a world and the original's setup files.
     default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
@@ -131,8 +128,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
-    rosbridge_options.refuse(parser, options)
-    ros2_options.refuse(parser, options)
+    ros_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
@@ -177,11 +173,6 @@ def _is_setup(name: str) -> bool:
     path = Path(name)
     # A file of any name is a setup if it exists, and is neither TOML nor the name of a shipped world.
     return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
-
-
-def _as_value(word: str) -> str:
-    """Protect coordinates such as -5,3, which argparse takes for an option, with a blank."""
-    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def _speed(text: str) -> float | None:

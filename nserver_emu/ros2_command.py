@@ -15,8 +15,7 @@ import argparse
 from nclient.common.arguments import add_address, add_flag
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.ros2.options import ANY, LOOPBACK, add_distro, config_of
-from nserver_emu.rosbridge.options import DEFAULT_PORT, port_text
+from nserver_emu.ros.options import ANY, DEFAULT_PORT, LOOPBACK, add_distro, config_of, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

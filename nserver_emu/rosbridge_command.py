@@ -13,7 +13,7 @@ from pathlib import Path
 from nclient.common.arguments import add_address
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.rosbridge.options import DEFAULT_PORT, add_origin, port_text
+from nserver_emu.ros.options import DEFAULT_PORT, add_origin, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,12 +15,11 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import check_picture, save
-from localization.live.progress import show_seconds
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
 from nclient.common.arguments import add_flag, add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode, show_seconds
 from nclient.errors import MapFileError, WorldFileError
 from worlds.drawing import ESTIMATE, GOAL, blank, draw_walls
 from worlds.io import format_world, load_world, parse_world

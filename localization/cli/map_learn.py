@@ -23,7 +23,6 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
 from localization.live.plot import check_picture
-from localization.live.progress import show_seconds
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
@@ -37,9 +36,8 @@ from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog,
 from localization.navigation.limits import MODEL_LIMITS
 from nclient import Robot
 from nclient.common.arguments import add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
-from nclient.common.process import TerminatedBySignal
+from nclient.common.process import ExitCode, TerminatedBySignal, show_seconds
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
 from nclient.url import parse_address, split_address

@@ -13,14 +13,13 @@ from localization.cli import arguments, map_learn
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.plot import check_picture
-from localization.live.progress import show_seconds
 from localization.mapping.learn import MapLearner
 from localization.mapping.measurements import read_drive
 from localization.mapping.output import MapRefused
 from localization.mapping.survey import RobotMoved
 from localization.mapping.update import MapDifference, compare, start_pose
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode, show_seconds
 from nclient.errors import OutputFileError
 from worlds.io import format_world, load_world, parse_world
 from worlds.world import World

@@ -34,7 +34,6 @@ from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS, Refusal
-from localization.live.progress import show_seconds
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
     EncoderPose,
@@ -45,6 +44,7 @@ from localization.live.sensor_input import (
     SlipCorrection,
     corrected,
 )
+from nclient.common.process import show_seconds
 from worlds.rings import Ring
 
 

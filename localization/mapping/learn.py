@@ -43,7 +43,7 @@ from localization.mapping.association import (
     residual_matrix,
     segments_of,
 )
-from localization.mapping.births import find_births
+from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
 from localization.mapping.walls import MIN_CORNER_RAD, MIN_CROSSINGS, REACH_IN, free_paths
@@ -400,6 +400,15 @@ def _are_faces(estimate: MapEstimate, one: int, other: int) -> bool:
 
 def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
     """Merge two walls if the total cost falls; return True if it did."""
+    trial = _merged(estimate, remaining, removed)
+    if trial.cost >= estimate.cost:
+        return False
+    _replace(estimate, trial)
+    return True
+
+
+def _merged(estimate: MapEstimate, remaining: int, removed: int) -> MapEstimate:
+    """Return the map with one wall in place of two."""
     trial = estimate.copy()
     feature = trial.assignment.feature.copy()
     feature[feature == removed] = remaining
@@ -415,10 +424,30 @@ def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
     trial.optimize(3)
     trial.associate()
     trial.optimize(3)
-    if trial.cost >= estimate.cost:
-        return False
-    _replace(estimate, trial)
-    return True
+    return trial
+
+
+def find_undecided(estimate: MapEstimate) -> list[tuple[int, int]]:
+    """Return pairs of walls side by side that may as well be one: their echoes do not decide it.
+
+    Both maps cost the same within MIN_DIFFERENCE, and have another topology. Two walls one after the other are the
+    same map, however many they are.
+    """
+    segments = segments_of(estimate.state.walls, estimate.extents)
+    return [
+        (one, other)
+        for one, other in _merge_pairs(estimate)
+        if _overlap(segments[one], segments[other]) > MIN_BASE_IN
+        and _merged(estimate, one, other).cost < estimate.cost + MIN_DIFFERENCE
+    ]
+
+
+def _overlap(one: Floats, other: Floats) -> float:
+    """Return the length that two segments (4,) have in common along the first one."""
+    along = one[2:] - one[:2]
+    length = max(float(np.hypot(*along)), 1e-9)
+    low, high = np.sort((other.reshape(2, 2) - one[:2]) @ along / length)
+    return float(min(high, length) - max(low, 0.0))
 
 
 def tie_points(estimate: MapEstimate) -> None:

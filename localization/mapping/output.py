@@ -15,9 +15,11 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
-from localization.mapping.association import MapEstimate, crossings
+from localization.mapping.association import MapEstimate, crossings, segments_of
+from localization.mapping.consistency import Part, check_parts
+from localization.mapping.learn import find_undecided
 from localization.mapping.measurements import compose, rotate
-from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, POINT, WALL, sensors_at
+from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
 from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
 from nclient.errors import NomadError
 from worlds.geometry import lengths, nearest_points
@@ -54,12 +56,30 @@ class Quality:
     ----------
     explained
         Fraction of the ranges that a wall or a point explains.
-    chi_square
-        Sum of the squared residuals of odometry and explained ranges per degree of freedom, 1 for a model that fits.
+    parts
+        Chi-square tests of the residuals of odometry and explained ranges: of the whole drive, and of its parts.
+    undecided
+        Middles (k, 2) of walls that are as probably one with another wall beside them.
     """
 
     explained: float
-    chi_square: float
+    parts: tuple[Part, ...]
+    undecided: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of the squared residuals of the drive per degree of freedom, 1 for a model that fits."""
+        return self.parts[0].total / max(self.parts[0].freedom, 1.0)
+
+    @property
+    def worst(self) -> Part:
+        """The part whose sum is largest, compared with its quantile."""
+        return max(self.parts, key=lambda part: part.excess)
+
+    def turned(self, angle_rad: float) -> Quality:
+        """Return the same with all places turned about the origin."""
+        parts = tuple(replace(part, place=rotate(part.place, np.array(angle_rad))) for part in self.parts)
+        return replace(self, parts=parts, undecided=rotate(self.undecided, np.full(len(self.undecided), angle_rad)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +151,19 @@ class LearnedMap:
             return (
                 f"ranges and encoders contradict each other: chi-square is {quality.chi_square:.2f} per degree of "
                 f"freedom, at most {MAX_CHI_SQUARE} is sound; --odometry-noise is too low, or --sonars is wrong"
+            )
+        if (worst := quality.worst).excess > 1.0:
+            place = "" if worst.kind == "drive" else " at ({:.0f}, {:.0f})".format(*worst.place)
+            return (
+                f"ranges and encoders contradict each other: chi-square of the {worst.kind}{place} is "
+                f"{worst.total:.0f}, with {worst.freedom:.0f} degrees of freedom at most {worst.limit:.0f} is sound; "
+                "--odometry-noise or --roughness is too low, --sonars is wrong, or something moved"
+            )
+        if len(quality.undecided):
+            x, y = quality.undecided[0]
+            return (
+                f"one wall or two at ({x:.0f}, {y:.0f}): the readings do not decide it; drive along it again, in "
+                "smaller loops"
             )
         if crossed := self.crossed_walls:
             (x1, y1), (x2, y2) = crossed[0].ends.tolist()
@@ -217,20 +250,18 @@ def describe(
     if unexplored is not None:
         unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
     return LearnedMap(
-        tuple(turned), points, path, calibration_of(estimate), quality_of(estimate), turret_rad, rest, unexplored
-    )
+        tuple(turned), points, path, calibration_of(estimate), quality_of(estimate).turned(-turn), turret_rad, rest,
+        unexplored,
+    )  # fmt: skip
 
 
 def quality_of(estimate: MapEstimate) -> Quality:
     """Return how well a map explains its readings."""
-    problem, state = estimate.problem, estimate.state
-    _, residuals, _ = problem.range_residuals(state, estimate.assignment)
-    odometry = problem.odometry(state)[0]
-    count = len(problem.trajectory.node)
-    # Each step of the odometry has as many unknowns as residuals, so the ranges alone are degrees of freedom.
-    freedom = len(residuals) - WALL * len(state.walls) - POINT * len(state.points)
-    total = float(np.square(odometry).sum() + np.square(residuals[:, 0]).sum())
-    return Quality(len(residuals) / count if count else 0.0, total / max(freedom, 1))
+    count = len(estimate.problem.trajectory.node)
+    explained = int((estimate.assignment.feature != NO_FEATURE).sum())
+    middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
+    undecided = middles[[one for one, _ in find_undecided(estimate)]]
+    return Quality(explained / count if count else 0.0, tuple(check_parts(estimate)), undecided)
 
 
 def calibration_of(estimate: MapEstimate) -> Calibration:

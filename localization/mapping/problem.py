@@ -127,6 +127,24 @@ class RangePrediction:
     foot: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class LinearEchoes:
+    """Range and bearing of the explained echoes (e,), linearized.
+
+    `residuals` (e, 2) are in standard deviations, `weighted` times the root of the robust weight, as the derivatives by
+    the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at` (e, 4) of the border, `by_border`
+    (e, 2, 4).
+    """
+
+    echoes: Indices
+    residuals: Floats
+    weighted: Floats
+    node: Indices
+    by_pose: Floats
+    by_border: Floats
+    at: Indices
+
+
 def sensors_at(poses: Floats, parameters: Floats, trajectory: Trajectory, echoes: Indices | slice) -> Sensors:
     """Return the sonars at some echoes, by the poses of their nodes and the calibration."""
     pose = poses[trajectory.node[echoes]]
@@ -348,31 +366,40 @@ class MapProblem:
         T[0] += _FRAME_INFORMATION * np.eye(POSE)
         return NormalEquations(T, U, C, D, g, h)
 
-    def _add_echoes(self, state: MapState, assignment: Assignment, N: NormalEquations) -> None:
-        """Add range and bearing of all explained echoes, in place."""
+    def linearize_echoes(self, state: MapState, assignment: Assignment) -> LinearEchoes:
+        """Return weighted residuals and Jacobians of range and bearing of all explained echoes."""
         echoes, residuals, prediction = self.range_residuals(state, assignment)
-        if not len(echoes):
-            return
         # 1. Jacobians in standard deviations, times the root of the robust weight.
         std = self.trajectory.std_in[echoes]
         scale = np.sqrt(robust_weight(residuals[:, 0])) if self.robust else np.ones(len(echoes))
-        residuals = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
-        scale = scale / std
-        by_pose = np.stack((-prediction.by_pose * scale[:, None], prediction.bearing_by_pose / BEARING_STD_RAD), 1)
+        weighted = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
+        by_range = scale / std
+        by_pose = np.stack((-prediction.by_pose * by_range[:, None], prediction.bearing_by_pose / BEARING_STD_RAD), 1)
         by_pose[:, 1, HEADING] -= 1.0 / BEARING_STD_RAD
         by_feature = np.stack(
-            (-prediction.by_feature * scale[:, None], prediction.bearing_by_feature / BEARING_STD_RAD), axis=1
+            (-prediction.by_feature * by_range[:, None], prediction.bearing_by_feature / BEARING_STD_RAD), axis=1
         )
         # 2. The derivative by everything in the border: the feature, and both offsets; rows of (e, 2, 4).
         offsets = np.zeros((len(echoes), 2, 2))
-        offsets[:, 0] = -scale[:, None]
-        by_border = np.concatenate((by_feature, offsets), axis=-1)
+        offsets[:, 0] = -by_range[:, None]
         first = state.walls.size + state.points.size + COMMON_OFFSET
         column = WALL * assignment.feature[echoes]
         own = first + 1 + self.trajectory.sonar[echoes]
         at = np.stack((column, column + 1, np.full(len(echoes), first), own), axis=-1)
-        # 3. Sums over the echoes of each block.
-        node, pose_t, border_t = self.trajectory.node[echoes], by_pose.swapaxes(-1, -2), by_border.swapaxes(-1, -2)
+        return LinearEchoes(
+            echoes, residuals, weighted, self.trajectory.node[echoes], by_pose,
+            np.concatenate((by_feature, offsets), axis=-1), at,
+        )  # fmt: skip
+
+    def _add_echoes(self, state: MapState, assignment: Assignment, N: NormalEquations) -> None:
+        """Add range and bearing of all explained echoes, in place."""
+        linear = self.linearize_echoes(state, assignment)
+        if not len(linear.echoes):
+            return
+        # Sums over the echoes of each block.
+        node, at, residuals = linear.node, linear.at, linear.weighted
+        by_pose, by_border = linear.by_pose, linear.by_border
+        pose_t, border_t = by_pose.swapaxes(-1, -2), by_border.swapaxes(-1, -2)
         np.add.at(N.diagonal, node, pose_t @ by_pose)
         np.add.at(N.pose_gradient, node, -(pose_t @ residuals[..., None])[..., 0])
         rows = np.arange(POSE)[None, :, None]

@@ -64,6 +64,17 @@ class NormalEquations:
         covariance = np.linalg.inv(self._eliminate(0.0)[1])
         return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 
+    def covariance(self) -> Covariance:
+        """Return the blocks of the inverse of the whole matrix that residuals of one or two neighbouring poses need."""
+        columns, reduced, _ = self._eliminate(0.0)
+        border: Floats = np.asarray(np.linalg.inv(reduced), dtype=np.float64)
+        W = columns[..., :-1]
+        diagonal, upper = invert_block_tridiagonal(self.diagonal, self.upper)
+        coupling = -W @ border
+        return Covariance(
+            diagonal - coupling @ W.swapaxes(-1, -2), upper - coupling[:-1] @ W[1:].swapaxes(-1, -2), coupling, border
+        )
+
     def _eliminate(self, damping: float) -> tuple[Floats, Floats, Floats]:
         """Return T^-1 [C g], S and the right-hand side of the border."""
         diagonal, border = self.diagonal, self.border
@@ -76,6 +87,37 @@ class NormalEquations:
         # No BLAS: its threads cost more than they save here, and their number would change the rounding.
         reduced = np.einsum("npi,npj->ij", self.coupling, poses)
         return poses, border - reduced[:, :-1], self.border_gradient - reduced[:, -1]
+
+
+@dataclass(frozen=True, slots=True)
+class Covariance:
+    """Covariances of poses (n, 3, 3), of each with the next one (n - 1, 3, 3), with the border (n, 3, m), and of it."""
+
+    poses: Floats
+    neighbours: Floats
+    coupling: Floats
+    border: Floats
+
+
+def invert_block_tridiagonal(diagonal: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Return the blocks of T^-1 on the diagonal (n, k, k) and to the right of it (n - 1, k, k), for T as below.
+
+    References
+    ----------
+    Rauch, Tung, Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems (1965): the backward recursion.
+    """
+    # 1. Forward: the information of each unknown without what follows it.
+    filtered = np.empty_like(diagonal)
+    filtered[0] = np.linalg.inv(diagonal[0])
+    for k in range(len(upper)):
+        filtered[k + 1] = np.linalg.inv(diagonal[k + 1] - upper[k].T @ filtered[k] @ upper[k])
+    # 2. Backward: with it.
+    on, off = filtered.copy(), np.empty_like(upper)
+    for k in range(len(upper) - 1, -1, -1):
+        gain = filtered[k] @ upper[k]
+        off[k] = -gain @ on[k + 1]
+        on[k] -= off[k] @ gain.T
+    return on, off
 
 
 def solve_block_tridiagonal(diagonal: Floats, upper: Floats, right: Floats) -> Floats:

@@ -22,7 +22,7 @@ from localization.live.run import GroundTruth, RunMoment
 from localization.missions.settings import Point
 from localization.navigation.limits import MODEL_LIMITS, STAND, StateGapLimiter, VelocityCommand
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, update_obstacles
-from localization.navigation.planner import Planner
+from localization.navigation.roadmap import Planner
 from localization.navigation.waypoints import (
     COMMAND_TIMEOUT_S,
     Speeds,

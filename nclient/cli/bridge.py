@@ -21,7 +21,7 @@ from urllib.parse import quote
 
 from nclient.cli import serving
 from nclient.common.arguments import add_flag
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model

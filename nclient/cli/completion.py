@@ -20,7 +20,7 @@ import shtab
 
 from nclient.cli.state_text import PARTS
 from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
 from nclient.url import available_schemes

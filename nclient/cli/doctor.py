@@ -19,7 +19,7 @@ import time
 from typing import Final
 
 from nclient.common.arguments import add_address, add_flag, add_value, seconds, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import DEFAULT_ADDRESS, VARIABLE, Connector, address_or_default, is_listening
 from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, fail, ok, report, warn, worst
 from nclient.errors import ConnectionLost, ReplyTimeout

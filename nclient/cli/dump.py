@@ -16,7 +16,7 @@ from pathlib import Path
 
 from nclient.cli.serving import print_message
 from nclient.common.arguments import add_flag
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
 from nclient.protocol.types import MODELS, N150, get_model

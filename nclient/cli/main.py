@@ -5,7 +5,7 @@
     nomad help [COMMAND] the same as --help, or as COMMAND --help
 
 Only the module of the named subcommand is imported, so that a missing extra affects no other. A NomadError is printed
-on stderr; exit codes are those of nclient.common.exit_codes. SIGTERM and SIGHUP end every command through its `with`
+on stderr; exit codes are those of nclient.common.process. SIGTERM and SIGHUP end every command through its `with`
 blocks, which stop the robot (nclient/common/process.py).
 """
 
@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from nclient.common import process
-from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode, in_short
+from nclient.common.arguments import Parser, protect_coordinates
 from nclient.common.hints import closest_match, install_hint, version
-from nclient.common.process import TerminatedBySignal, handle_termination_signals
+from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
 from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError
 
@@ -92,7 +91,7 @@ def _dispatch(arguments: list[str]) -> int:
     # 3. Parse its arguments and run it.
     parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
-    return command.run(parser.parse_args([_protect_coordinates(word) for word in rest]))
+    return command.run(parser.parse_args([protect_coordinates(word) for word in rest]))
 
 
 def whole_parser() -> Parser:
@@ -124,9 +123,6 @@ def _escape_percent(text: str) -> str:
     return text.replace("%", "%%")
 
 
-def _protect_coordinates(word: str) -> str:
-    """Mark coordinates such as -5,3 as a value with a blank; argparse would take them for an option."""
-    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 class _TopParser(Parser):

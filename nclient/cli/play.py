@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from nclient.cli import serving
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
 from nclient.recording.format import read_recording
 from nclient.recording.replayer import ORDERS, STRICT, Player, ReplyChunk, load_exchanges

@@ -15,7 +15,7 @@ from typing import Any, Final, get_args
 
 import msgspec
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 
 GROUP: Final = "nomad.schemas"
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"

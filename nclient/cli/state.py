@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 from nclient.cli import state_text
 from nclient.common.arguments import add_flag, add_value, seconds, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot

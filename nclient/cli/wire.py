@@ -17,7 +17,7 @@ from inspect import getdoc
 from textwrap import fill
 from typing import Any
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call, Command

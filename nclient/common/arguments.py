@@ -10,12 +10,13 @@ An unknown option is reported before other errors, which it usually causes.
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
-from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import closest_match, suggest
+from nclient.common.process import ExitCode
 
 MAX_DIGITS = 18
 """Maximum length of a whole number; int() refuses very long ones."""
@@ -73,6 +74,11 @@ class Parser(argparse.ArgumentParser):
             choices = [str(choice) for choice in action.choices]
             message = f"no {value!r}; there are {', '.join(choices)}{suggest(str(value), choices)}"
             raise argparse.ArgumentError(action, message)
+
+
+def protect_coordinates(word: str) -> str:
+    """Mark coordinates such as -5,3 as a value with a blank; argparse would take them for an option."""
+    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def number(expected: str, low: float, high: float = math.inf) -> Callable[[str], float]:

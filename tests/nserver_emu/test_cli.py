@@ -242,9 +242,9 @@ def test_pages_and_bridges_end_before_the_gateway(monkeypatch: pytest.MonkeyPatc
 
     async def serve(*_: object) -> None: ...
 
-    for name in ("run_gateway", "running_viewer", "running_rosbridge", "running_ros2"):
+    for name in ("run_gateway", "running_viewer", "running_ros"):
         record_end(name)
     monkeypatch.setattr(Daemon, "serve", serve)
     assert cli.main(["--port", "0"]) == 0
-    assert len(ended) == 4
+    assert len(ended) == 3
     assert ended[-1] == "run_gateway"

@@ -54,7 +54,7 @@ WRITE_MCAP = (
     "code = main(['convert', 'drive.csv', 'drive.mcap']); print('written'); sys.exit(code)"
 )
 ROS_TYPE = (
-    "from nserver_emu.ros2.types import RosTypes; "
+    "from nserver_emu.ros.dds import RosTypes; "
     "print(RosTypes('jazzy').dds_type('nav_msgs/msg/Odometry').__idl_typename__.replace('.', '::'))"
 )
 MAKE_ENVIRONMENT = (

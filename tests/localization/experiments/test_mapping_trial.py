@@ -6,6 +6,7 @@ import pytest
 from localization.experiments import mapping
 from localization.experiments.mapping import Drive, Trial, fit_error, score, visible_samples
 from localization.filters.belief import Floats
+from localization.mapping.consistency import Part
 from localization.mapping.measurements import rigid_fit, rotate
 from localization.mapping.output import LearnedMap, Quality
 from localization.mapping.walls import Piece
@@ -15,6 +16,7 @@ from worlds.robots import IDEAL_CALIBRATION
 
 TRIAL = Trial("thesis_room", "measured", 1)
 PATH = np.stack((np.linspace(0.0, 80.0, 50), np.linspace(10.0, 60.0, 50) + 5.0 * np.sin(np.linspace(0.0, 6.0, 50))), -1)
+QUALITY = Quality(1.0, (Part("drive", np.zeros(2), 100.0, 100.0, 150.0),))
 
 
 def learned(walls: Floats, turn: float, shift: Floats) -> LearnedMap:
@@ -22,7 +24,7 @@ def learned(walls: Floats, turn: float, shift: Floats) -> LearnedMap:
     back = rotate(walls.reshape(-1, 2) - shift, np.full(2 * len(walls), -turn)).reshape(-1, 2, 2)
     pieces = [Piece(0, 0.0, 10.0, ends, [True, True], 9, 0.1, 0.01) for ends in back]
     path = np.column_stack((rotate(PATH - shift, np.full(len(PATH), -turn)), np.zeros(len(PATH))))
-    return LearnedMap(tuple(pieces), np.empty((0, 2)), path, IDEAL_CALIBRATION, Quality(1.0, 1.0), 0.0)
+    return LearnedMap(tuple(pieces), np.empty((0, 2)), path, IDEAL_CALIBRATION, QUALITY, 0.0)
 
 
 def scored(walls: Floats) -> dict[str, object]:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localization.filters.belief import Floats
-from localization.mapping.solver import NormalEquations, solve_block_tridiagonal
+from localization.mapping.solver import NormalEquations, invert_block_tridiagonal, solve_block_tridiagonal
 
 
 def random_equations(poses: int, border: int, seed: int) -> tuple[NormalEquations, Floats, Floats]:
@@ -56,3 +56,19 @@ def test_step_is_that_of_the_dense_equations(poses: int, damping: float) -> None
 def test_border_covariance_is_a_block_of_the_dense_inverse() -> None:
     equations, H, _ = random_equations(9, 6, 3)
     np.testing.assert_allclose(equations.border_covariance(), np.linalg.inv(H)[27:, 27:], rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("poses", [1, 2, 9])
+def test_covariance_is_made_of_blocks_of_the_dense_inverse(poses: int) -> None:
+    equations, H, _ = random_equations(poses, 6, 4)
+    found, P, split = equations.covariance(), np.linalg.inv(H), 3 * poses
+    blocks = P[:split, :split].reshape(poses, 3, poses, 3)
+    on, off = [blocks[k, :, k] for k in range(poses)], [blocks[k, :, k + 1] for k in range(poses - 1)]
+    np.testing.assert_allclose(found.poses, on, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(found.neighbours, np.reshape(off, (-1, 3, 3)), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(found.coupling.reshape(split, 6), P[:split, split:], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(found.border, P[split:, split:], rtol=1e-8, atol=1e-12)
+    # Without a border.
+    T = np.linalg.inv(H[:split, :split]).reshape(poses, 3, poses, 3)
+    diagonal, _ = invert_block_tridiagonal(equations.diagonal, equations.upper)
+    np.testing.assert_allclose(diagonal, [T[k, :, k] for k in range(poses)], rtol=1e-8, atol=1e-12)

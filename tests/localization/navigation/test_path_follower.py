@@ -11,7 +11,7 @@ from localization.filters.belief import Floats
 from localization.navigation.limits import MODEL_LIMITS, STAND
 from localization.navigation.path import PathElement, PathSection, line_between, split_into_sections
 from localization.navigation.path_follower import PathFollower, turn_command
-from localization.navigation.planner import Planner
+from localization.navigation.roadmap import Planner
 from worlds.io import load_world
 from worlds.robots import N150
 

@@ -58,7 +58,7 @@ def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
 
 
 async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nserver_emu.viewer.server.HEARTBEAT_S", SHORT_S)
+    monkeypatch.setattr("nserver_emu.viewer.http_port.HEARTBEAT_S", SHORT_S)
 
     async with serve_viewer(Emulator(simulation())) as here:
         with await dumb_page(here) as end:
