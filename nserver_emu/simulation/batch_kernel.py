@@ -17,9 +17,7 @@ from math import atan2, copysign, cos, inf, sin
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NamedTuple, cast
-from zlib import crc32
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from numba import extending, types
@@ -42,6 +40,7 @@ from nserver_emu.simulation.odometry import erroneous_segment
 from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegment, wrap_to_2pi
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
+from worlds.compiled import checksum, compile_function, make_compilable
 from worlds.geometry import FloatArray
 from worlds.raycast import ON_LINE_IN, ON_WALL_IN, mean_ahead, nearest_wall
 from worlds.rings import MAX_SONARS, quantized_range
@@ -149,20 +148,20 @@ class Loops(NamedTuple):
     start_rings: Callable[..., None]
 
 
-def make_loops(checksum: int) -> Loops:
+def make_loops(sources: int) -> Loops:
     """Return the loops in Python; the checksum of what they call is part of their key in numba's cache."""
 
     def advance(robots: Records, settings: Records, walls: FloatArray, dt_ps: int) -> None:
         for i in range(len(robots)):
             _advance(robots[i], settings[0], walls, robots[i]["time_ps"] + dt_ps)
-        assert checksum >= 0
+        assert sources >= 0
 
     def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
         ranges = np.empty(walls.shape[1])
         for i in range(len(robots)):
             _measure(robots[i], settings[0], walls, ranges)
             robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
-        assert checksum >= 0
+        assert sources >= 0
 
     def command(
         robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool, timeout_ps: int
@@ -170,13 +169,13 @@ def make_loops(checksum: int) -> Loops:
         for i in range(len(robots)):
             if mask[i]:
                 _command(robots[i], settings[0], values[i], is_relative, timeout_ps)
-        assert checksum >= 0
+        assert sources >= 0
 
     def start_rings(robots: Records, settings: Records, mask: BoolArray, with_all: bool) -> None:
         for i in range(len(robots)):
             if mask[i]:
                 _start_ring(robots[i], settings[0], with_all)
-        assert checksum >= 0
+        assert sources >= 0
 
     return Loops(advance, observe, command, start_rings)
 
@@ -606,8 +605,7 @@ _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Caps
 @cache
 def load_loops() -> Loops:
     """Return the compiled loops: compiled at the first call of each, or read from numba's cache."""
-    for function in _FUNCTIONS:
-        extending.register_jitable(function)
+    make_compilable(_FUNCTIONS)
     for kind in _CLASSES:
         for name, method in vars(kind).items():
             if isfunction(method) and not name.startswith("__"):
@@ -616,20 +614,15 @@ def load_loops() -> Loops:
     extending.register_jitable(fastmath={"nnan", "nsz"})(_smallest)
     extending.overload(math.remainder, strict=False)(_remainder_form)
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    checksum = 0
-    for module in _SOURCES:
-        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
-    return Loops(*map(_compiled, make_loops(checksum)))
+    return Loops(*map(_compiled, make_loops(checksum(*(module.__file__ for module in _SOURCES)))))
 
 
 def _compiled(loop: Callable[..., None]) -> Callable[..., None]:
-    # Threads run a loop on parts of the array. numba's own parallel loops would compile every function twice.
-    try:
-        compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(loop)
-        is_cached = any(Path(compiled.stats.cache_path).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi"))
-    except RuntimeError:  # no writable directory for the cache
-        compiled, is_cached = numba.njit(nogil=True, error_model="numpy")(loop), False
-    if not is_cached:
+    # Threads run a loop on parts of the array; numba's own parallel loops would compile every function twice. With the
+    # test for zero in divisions LLVM would use no vectors.
+    compiled: Any = compile_function(loop, is_division_tested=False)
+    folder = compiled.stats.cache_path
+    if not folder or not any(Path(folder).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi")):
         log.warning("compiling the batch simulation with numba; the result is cached function=%s", loop.__name__)
     return cast("Callable[..., None]", compiled)
 

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from math import pi
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -311,12 +312,16 @@ def test_example_of_the_page_runs() -> None:
 def test_loops_compile_without_a_cache_directory(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def njit(**options: bool) -> Any:
+    def njit(**options: object) -> Any:
         if "cache" in options:
             raise RuntimeError("cannot cache function")
-        return lambda loop: loop
+        return with_statistics
 
-    monkeypatch.setattr(batch_kernel.numba, "njit", njit)
+    def with_statistics(loop: Any) -> Any:
+        loop.stats = SimpleNamespace(cache_path=None)
+        return loop
+
+    monkeypatch.setattr("numba.njit", njit)
     assert batch_kernel.load_loops.__wrapped__().advance.__name__ == "advance"
     assert "compiling the batch simulation" in caplog.text
 
