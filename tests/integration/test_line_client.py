@@ -45,6 +45,7 @@ def run_server(*words: str) -> Iterator[Server]:
             running.end()
 
 
+@pytest.mark.usefixtures("serial_ports")
 @pytest.mark.parametrize("model", ["n150", "n200", "scout"])
 def test_drive_on_serial_line_and_over_tcp(model: str, tmp_path: Path) -> None:
     link = tmp_path / "robot"
@@ -86,6 +87,7 @@ def count_losses(robot: Robot) -> int:
         return lost
 
 
+@pytest.mark.usefixtures("serial_ports")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_client_reconnects_to_restarted_server(how: signal.Signals, tmp_path: Path) -> None:
     link = tmp_path / "robot"
@@ -103,6 +105,8 @@ def test_client_reconnects_to_restarted_server(how: signal.Signals, tmp_path: Pa
 DRIVES_AND_SLEEPS = """
 import sys, time
 from nclient import connect
+from tests.programs.ports import select_ports
+select_ports()
 robot = connect(sys.argv[1])
 robot.drive(translation_in_s=0.5)
 print("driving", flush=True)
@@ -110,6 +114,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_keep_alive_while_sleeping_and_stop_after_kill(tmp_path: Path) -> None:
     link = tmp_path / "robot"
     with (
@@ -133,6 +138,7 @@ def is_moving(observer: Robot) -> bool:
     return observer.truth().x_in != before.x_in
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_next_connection_finds_robot_stopped(tmp_path: Path) -> None:
     with run_server("--serial-link", str(tmp_path / "nomad")):
         address = f"serial://{tmp_path / 'nomad'}?model=n150"
