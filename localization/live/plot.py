@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 SUFFIX: Final = ".png"
 ELLIPSES: Final = 8
 """Number of ellipses along a run."""
+SIGMAS: Final = 3.0
 DPI: Final = 140
 
 
@@ -56,12 +57,12 @@ def draw_points(axes: Axes, start: Floats, goals: npt.ArrayLike) -> None:
     axes.plot(*np.asarray(goals).T, marker="X", color=GOAL, markersize=10, linestyle="", label="waypoints")
 
 
-def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) -> None:
-    """Draw error ellipses along a run of means (k, 3) and covariances (k, 3, 3)."""
+def draw_ellipses(axes: Axes, means: Floats, covs: Floats) -> None:
+    """Draw error ellipses, SIGMAS standard deviations wide, along a run of means (k, 3) and covariances (k, 3, 3)."""
     rows = np.linspace(len(means) / ELLIPSES, len(means) - 1, ELLIPSES).astype(int)
     for k, row in enumerate(rows):
-        outline = ellipse(means[row], covs[row], sigmas)
-        label = f"{sigmas:g} sigma" if k == 0 else None
+        outline = ellipse(means[row], covs[row], SIGMAS)
+        label = f"{SIGMAS:g} sigma" if k == 0 else None
         axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
 
 

@@ -145,8 +145,8 @@ def add_version(parser: argparse.ArgumentParser) -> None:
                         help="show program's version number and exit")  # fmt: skip
 
 
-def add_address(parser: argparse.ArgumentParser) -> None:
-    """Add the address of a robot, which may be left out."""
+def add_address(parser: argparse.ArgumentParser, default: str = "robot 1 of a local nserver") -> None:
+    """Add the address of a robot; without it and NOMAD_ROBOT the command takes `default`."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
-                        "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")
+                        f"(default: $NOMAD_ROBOT, or {default})")

@@ -59,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_value(group, "--shadow-report", "FILE", Path,
               "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
     add_value(group, "--shadow-every", "S", speed,
-              f"log a summary of the differences every S seconds (default {SUMMARY_S:g})", SUMMARY_S)
+              f"log a summary of the differences every S seconds (default: {SUMMARY_S:g})", SUMMARY_S)
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

@@ -508,7 +508,7 @@ class SimulatedRobot:
     def accelerations(self) -> Velocities:
         """Current accelerations by axis, per second squared; 0 where axes jump."""
         first, second, third = self._drive.axes
-        return first.phase_acceleration, second.phase_acceleration, third.phase_acceleration
+        return first.current_phase[2], second.current_phase[2], third.current_phase[2]
 
     @property
     def counts(self) -> tuple[float, float, float]:
