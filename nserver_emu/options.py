@@ -10,8 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, protect_coordinates, whole_number
-from nclient.common.hints import suggest, version
+from nclient.common.arguments import (
+    ABOVE_ZERO,
+    Parser,
+    add_flag,
+    add_version,
+    number,
+    protect_coordinates,
+    whole_number,
+)
+from nclient.common.hints import suggest
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
@@ -50,9 +58,9 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
                             help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and "
                             "the original's robot.setup and world.setup, of which the documented keys are read")
     parser.add_argument("--port", type=whole_number("a port", 0, 65535),
-                        help=f"TCP port to listen on (default {DEFAULT_PORT}; 0 takes a free one)")
+                        help=f"TCP port to listen on (default: {DEFAULT_PORT}; 0 takes a free one)")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
-                        help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
+                        help=f"address to listen on (default: {LOOPBACK}; the protocol has no authentication)")
     _add_robots(parser)
     _add_time(parser)
     _add_persistence(parser)
@@ -62,28 +70,28 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
-    parser.add_argument("--version", action="version", version=f"nserver {version()}")
+    add_version(parser)
     return parser
 
 
 def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
-                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default "
-                        f"{MODEL_NAMES[0]}); once more for robot 2, and so on")
+                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default: "
+                        f"{MODEL_NAMES[0]}); repeatable, for robot 2 and so on")
     parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
-                        help="number of robots (default 1), numbered 1 to N; clients find the second at nserver://HOST/2")
+                        help="number of robots (default: 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
                         help="read a TOML file of models that override or extend the built-in ones")
     parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
-                        help="set the start pose in inches and degrees; repeat it for robot 2, and so on")
+                        help="set the start pose in inches and degrees; repeatable, for robot 2 and so on")
     parser.add_argument("--seed", type=whole_number("a seed", 0, 2**31 - 1), default=0,
-                        help="set the seed of all noise (default 0)")
+                        help="set the seed of all noise (default: 0)")
 
 
 def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
-                        f"{MAX_SPEED} (default 1)")
+                        f"{MAX_SPEED} (default: 1)")
     add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
     step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
     parser.add_argument("--lockstep", type=step, metavar="DT",

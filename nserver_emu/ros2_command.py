@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_distro(parser, "--distro")
     parser.add_argument("--rosbridge", nargs="?", type=port_text, const=str(DEFAULT_PORT), metavar="[HOST:]PORT",
                         help="serve rosbridge as well; to the printed address `nomad localize --publish` sends "
-                        f"estimates for both (default port {DEFAULT_PORT}; needs the extra viewer)")
+                        f"estimates for both (default: port {DEFAULT_PORT}; needs the extra viewer)")
     add_flag(parser, "--print-config",
              "print a configuration of Cyclone DDS, with which its other programs find this one, and exit")
 

@@ -1,4 +1,11 @@
-"""Drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
+"""Drive a square, estimate the systematic errors of wheels and sonars, write a model file.
+
+    nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml
+    nomad calibrate "sim:thesis_room?setup=worn&seed=1" --out worn.toml --laps 2
+
+The robot drives the square (UMBmark) in both directions and turns in place at its corners, while a filter estimates the
+errors from the walls. Exit code 0: done; 3: given up; 4: the readings do not fit the sonar model, nothing is written.
+"""
 
 import argparse
 import json
@@ -38,11 +45,6 @@ SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad calibrate`."""
-    parser.description = (
-        "Estimate the systematic errors of a robot's wheels and sonars: drive a square (UMBmark) in both directions, "
-        "turning in place at its corners, while a filter estimates them from the walls; then write a model file."
-    )
-    parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
     add_address(parser)
     arguments.add_map_option(parser)
     add_value(parser, "--out", "FILE", Path,
@@ -59,10 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
               f"typical value, at most {MAX_LAPS})")
     add_value(parser, "--spins", "N", whole_number("the number of turns", 0, MAX_COUNT),
               "full turns in place at each corner, for the turn scale", 1)
-    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in in/s", SPEED_IN_S)
-    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
+    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in inches per second", SPEED_IN_S)
+    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in degrees per second",
+              TURN_DEG_S)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
-              "give up after this time in s of the robot's clock", 3600.0)
+              "give up after this many seconds of the robot's clock", 3600.0)
     add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 

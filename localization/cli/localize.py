@@ -1,5 +1,9 @@
 """Drive a robot from waypoint to waypoint on the filter's estimate.
 
+    nomad localize "sim:thesis_room?noisy=1&seed=1" --waypoints 0,0 60,40
+    nomad localize nserver://localhost:7019/1 --map thesis_room --path 5.8 --picture run.png
+    nomad localize --from drive.log --map room.toml             a recorded drive
+
 For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """
 
@@ -31,20 +35,13 @@ from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_
 from localization.live.background_search import filter_on_robot
 from localization.live.log import read_log, run_log, without_echo
 from localization.live.publish import Publisher, build_message
-from localization.live.run import GroundTruth, Run, RunMoment
+from localization.live.run import GroundTruth, Run
 from localization.navigation.limits import PoseSmoother
 from localization.navigation.recovery import ContactDetector, MisfitDetector, StallDetector
 from localization.navigation.roadmap import crossings
-from localization.navigation.waypoints import (
-    STOP_RADIUS_IN,
-    NavigationStep,
-    Navigator,
-    Speeds,
-    follow_waypoints,
-    start_localizer,
-)
+from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from nclient import NomadError, Robot, WorldFileError
-from nclient.common.arguments import add_flag, add_value
+from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.process import ExitCode, TerminatedBySignal
 from nclient.recording import convert
 from worlds.io import load_world
@@ -55,15 +52,7 @@ from worlds.world import World
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad localize`."""
-    parser.description = "Drive a robot to waypoints and localize it by its sonars in a map of walls."
-    parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --waypoints 0,0 60,40"
-    parser.add_argument(
-        "address",
-        nargs="?",
-        metavar="ADDRESS",
-        help="address of the robot: nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
-        "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)",
-    )
+    add_address(parser)
     arguments.add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument(
@@ -87,11 +76,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(method=None)
     add_log_options(parser)
     add_value(parser, "--radius", "IN", arguments.parse_positive,
-              "count a waypoint as reached within this distance in in", STOP_RADIUS_IN)
+              "count a waypoint as reached within this many inches", STOP_RADIUS_IN)
     add_value(parser, "--smooth", "S", arguments.parse_seconds,
               "smooth the pose used for steering over S seconds; the estimate is unaffected", 0.0)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
-              "give up after this time in s of the robot's clock", 300.0)
+              "give up after this many seconds of the robot's clock", 300.0)
     add_value(parser, "--picture", "PNG", Path, "draw the run into this file (needs the extra `plot`)")
     add_flag(parser, "--stay",
              "with --publish: after the last waypoint, or without any, stand and wait for waypoints "
@@ -116,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
     if options.picture is not None:
-        from localization.live.plot import check_picture
+        from localization.plot import check_picture
 
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
@@ -180,7 +169,7 @@ def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool
 
 def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
-        from localization.live.plot import draw_run
+        from localization.plot import draw_run
 
         draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
@@ -214,7 +203,7 @@ def _drive(
         for progress in follow_waypoints(robot, localizer, navigator, robot.sleep, PoseSmoother(options.smooth)):
             clock_s, state = progress.estimate.clock_s, progress.state
             # Record, publish, print.
-            done.add(_moment(progress, ground_truth))
+            done.add(ground_truth.moment(*progress))
             if publisher:
                 _publish(publisher, done, navigator, ground_truth.robot_id)
             if not options.json and clock_s >= printed_s + 1.0:
@@ -235,18 +224,9 @@ def _drive(
                 break
 
 
-def _moment(progress: NavigationStep, ground_truth: GroundTruth) -> RunMoment:
-    # Odometry and ground truth at the time of the estimate, for the errors of both.
-    state = progress.state
-    truth = ground_truth.at(progress.estimate.clock_s)
-    odometry = (state.x_in, state.y_in, state.steering_rad)
-    return RunMoment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
-
-
 def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:
     """Publish the last period; waypoints set on the page replace the current ones."""
-    last = done.moments[-1]
-    waypoints = publisher.publish(build_message(robot_id, last, last.turret_rad - last.odometry[2], done.waypoints))
+    waypoints = publisher.publish(build_message(robot_id, done.moments[-1], done.waypoints))
     if waypoints is not None:
         navigator.set_waypoints(waypoints)
         done.waypoints = waypoints
@@ -339,7 +319,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     world, body = load_world(options.map), _body(options)
     check_writable(options.estimates, options.picture)
     if options.picture:
-        from localization.live.plot import check_picture
+        from localization.plot import check_picture
 
         check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
@@ -353,7 +333,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     if options.estimates:
         options.estimates.write_text(_table(done), encoding="utf-8")
     if options.picture:
-        from localization.live.plot import draw_run
+        from localization.plot import draw_run
 
         draw_run(options.picture, world, done, body)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)

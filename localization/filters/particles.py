@@ -283,7 +283,7 @@ class ParticleFilter:
         # 3. Resampling.
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0))
+        result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0, 0.0))
         self._monitor.add(result)
         return result
 

@@ -204,7 +204,7 @@ class Localizer:
         return tuple(
             [
                 Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
-                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _) in zip(new, outcomes, strict=True)
+                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
             ]
         )
 

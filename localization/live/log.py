@@ -190,7 +190,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
         before = now
         found = tuple(
             Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
-            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, _) in zip(new, outcomes, strict=True)
+            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
         )
         places = localizer.places if isinstance(localizer, Searching) else ()
         estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)

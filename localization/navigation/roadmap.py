@@ -422,9 +422,9 @@ class PlannedPath(NamedTuple):
 class Planner:
     """Path planner for a robot of `body_in` radius in a map of walls (m, 4); roadmaps are built once per margin."""
 
-    def __init__(self, walls: Floats, body_in: float, margins_in: Sequence[float] = MARGINS_IN) -> None:
+    def __init__(self, walls: Floats, body_in: float) -> None:
         self.walls = np.asarray(walls, dtype=np.float64).reshape(-1, 4)
-        self.body_in, self._margins = body_in, tuple(margins_in)
+        self.body_in = body_in
         self._roadmap = cache(self._build_roadmap)
 
     def _build_roadmap(self, margin_in: float) -> Roadmap:
@@ -451,8 +451,8 @@ class Planner:
         """
         # 1. Margins that both ends have space for.
         spaces = wall_distances(np.array([start, goal]), self.walls) - self.body_in
-        largest = max(min_margin_in, self._margins[0], float(spaces.min()))
-        margins = [margin for margin in self._margins if min_margin_in <= margin <= largest] or [min_margin_in]
+        largest = max(min_margin_in, MARGINS_IN[0], float(spaces.min()))
+        margins = [margin for margin in MARGINS_IN if min_margin_in <= margin <= largest] or [min_margin_in]
         if obstacles is not None and len(obstacles):
             return self._widest(start, goal, obstacles, margins)
         # 2. The longest accepted path.
@@ -460,7 +460,7 @@ class Planner:
         with suppress(NoPathError):
             longest_in = (1.0 + DETOUR) * total_length_in(self._roadmap(0.0).path(start, goal, 0.0))
         # 3. Increase the margin until the path becomes too long.
-        min_goal_distance = self.body_in + self._margins[0]
+        min_goal_distance = self.body_in + MARGINS_IN[0]
         best = None
         for margin in margins:
             try:
@@ -483,7 +483,7 @@ class Planner:
         NoPathError
             If a line comes too near to a wall.
         """
-        margin = self._margins[0]
+        margin = MARGINS_IN[0]
         self._roadmap(margin).require_free(points)
         elements = round_corners(points, within_in, limits, self.walls, self.body_in + margin)
         return PlannedPath(split_into_sections(elements), margin)
@@ -491,7 +491,7 @@ class Planner:
     def _widest(self, start: Point, goal: Point, obstacles: Floats, margins: Sequence[float]) -> PlannedPath:
         """Return the shortest path with the largest possible margin, or raise NoPathError."""
         walls = np.concatenate((self.walls, obstacles))
-        min_goal_distance = self.body_in + self._margins[0]
+        min_goal_distance = self.body_in + MARGINS_IN[0]
         *wide, narrow = sorted(margins, reverse=True)
         for margin in wide:
             with suppress(NoPathError):

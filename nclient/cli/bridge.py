@@ -33,7 +33,7 @@ from nclient.url import parse_address
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("address", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
+    parser.add_argument("address", metavar="ADDRESS", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
     serving.add_listener_options(parser)
     parser.add_argument("--record", metavar="FILE", help="record all traffic to FILE")
     add_flag(parser, "--dump", "print the traffic to stdout, as `nomad dump` does")

@@ -36,11 +36,11 @@ _GET_STATE: Final = BY_NAME["gs"].line_type or 0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_address(parser)
+    add_address(parser, "the first robot found")
     count = whole_number("the number of exchanges", 1, 1_000_000)
-    add_value(parser, "--exchanges", "N", count, f"send gs N times (default {EXCHANGES})", EXCHANGES)
+    add_value(parser, "--exchanges", "N", count, f"send gs N times (default: {EXCHANGES})", EXCHANGES)
     add_value(parser, "--interval", "S", seconds,
-              f"send gs at intervals of S seconds (default {INTERVAL_S:g})", INTERVAL_S)
+              f"send gs at intervals of S seconds (default: {INTERVAL_S:g})", INTERVAL_S)
     add_flag(parser, "--json", "print one JSON object instead of lines")
 
 

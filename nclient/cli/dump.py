@@ -29,7 +29,7 @@ _PIECE = 4096
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("file", type=Path, help="recording, or with --line a file of plain bytes")
+    parser.add_argument("file", type=Path, metavar="FILE", help="recording, or with --line a file of plain bytes")
     parser.add_argument("--filter", default="", metavar="COMMAND", help="show only this C command and its replies")
     parser.add_argument("--connection", default="", metavar="NAME", help="show only this connection")
     add_flag(parser, "--bytes", "show the bytes as well")

@@ -9,22 +9,26 @@ on stderr; exit codes are those of nclient.common.process. SIGTERM and SIGHUP en
 blocks, which stop the robot (nclient/common/process.py).
 """
 
+from __future__ import annotations
+
 import argparse
 import ast
 import importlib.util
 import re
 import sys
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from nclient.common import process
-from nclient.common.arguments import Parser, protect_coordinates
-from nclient.common.hints import closest_match, install_hint, version
+from nclient.common.arguments import Parser, add_version, protect_coordinates
+from nclient.common.hints import closest_match, entry_points, install_hint
 from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
 from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "nomad.commands"
 HELP = "help"
@@ -145,7 +149,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.commands = commands
-    parser.add_argument("--version", action="version", version=f"nomad {version()}")
+    add_version(parser)
     return parser
 
 

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_address(parser)
     add_value(parser, "--patience", "S", seconds,
-              f"try for S seconds (default {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
+              f"try for S seconds (default: {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
-from nclient.common.hints import closest_match, suggest
+from nclient.common.hints import closest_match, suggest, version
 from nclient.common.process import ExitCode
 
 MAX_DIGITS = 18
@@ -131,8 +131,22 @@ def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
     parser.add_argument(name, action="store_true", help=about)
 
 
-def add_address(parser: argparse.ArgumentParser) -> None:
-    """Add the address of a robot, which may be left out."""
+class _PrintVersion(argparse.Action):
+    """Print the installed version and exit. argparse's own action takes a text, for which each start would read it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {version()}")
+        parser.exit()
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add --version."""
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, default=argparse.SUPPRESS,
+                        help="show program's version number and exit")  # fmt: skip
+
+
+def add_address(parser: argparse.ArgumentParser, default: str = "robot 1 of a local nserver") -> None:
+    """Add the address of a robot; without it and NOMAD_ROBOT the command takes `default`."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
-                        "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")
+                        f"(default: $NOMAD_ROBOT, or {default})")

@@ -249,12 +249,13 @@ def _parser() -> argparse.ArgumentParser:
     commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
     parser = Parser(
         prog="nserver ctl",
+        usage="nserver ctl [-h] [--control PATH] [--json] COMMAND [ARGUMENT]",
         description="Send a command to a server that was started with --control.",
         epilog=f"commands:\n{commands}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_options(parser)
-    parser.add_argument("words", nargs="+", metavar="COMMAND", help="see below")
+    parser.add_argument("words", nargs="+", metavar="COMMAND", help="one of the commands below, with its argument")
     return parser
 
 

@@ -14,7 +14,6 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
@@ -43,15 +42,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--rosbridge", type=listen_address_of("--rosbridge"), nargs="?",
                        const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the robots as ROS topics to rosbridge clients; the address with a token is printed "
-                       f"on stdout (default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
-                       "needs the extra viewer; the world goes before --rosbridge)")
+                       f"on stdout (default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given;"
+                       " needs the extra viewer; the world goes before --rosbridge)")
     group.add_argument("--rosbridge-token-file", type=Path, metavar="FILE",
                        help="store its tokens in a file that only you may read, so that the address stays the same "
                        "over restarts (created where it is missing; may be that of the page)")
     add_origin(group, "--rosbridge-origin")
     group = parser.add_argument_group("ROS 2")
     group.add_argument("--ros2", nargs="?", const=LOOPBACK, metavar="INTERFACE",
-                       help=f"serve the robots as ROS 2 topics by DDS, in the domain of {_DOMAIN} (default 0), on "
+                       help=f"serve the robots as ROS 2 topics by DDS, in the domain of {_DOMAIN} (default: 0), on "
                        f"{LOOPBACK} or the named network interface or address, such as eth0; {ANY} uses "
                        "CYCLONEDDS_URI (needs the extra ros2; the world goes before --ros2)")
     add_distro(group, "--ros2-distro")
@@ -107,6 +106,8 @@ def config_of(interface: str) -> str | None:
     if interface == ANY:
         return None
     if interface != LOOPBACK:
+        from xml.sax.saxutils import quoteattr  # here: it imports the HTTP client
+
         # An address has digits and points or colons; a name is that of the system.
         attribute = "address" if ":" in interface or interface.replace(".", "").isdecimal() else "name"
         general = f"<Interfaces><NetworkInterface {attribute}={quoteattr(interface)}/></Interfaces>"

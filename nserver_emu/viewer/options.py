@@ -47,7 +47,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?", const=ListenAddress(),
                        metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
-                       f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
+                       f"(default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --viewer)")
     group.add_argument("--viewer-token-file", type=Path, metavar="FILE",
                        help="store the page's tokens in a file that only you may read, so that its address stays the "
