@@ -72,8 +72,32 @@ def vmas_rays(places: FloatArray, walls: FloatArray, threads: int | None) -> Cas
     return cast
 
 
+def kheperax_rays(places: FloatArray, walls: FloatArray, _: int | None) -> Cast:
+    """Return the rays of Kheperax' lasers, compiled for all robots at once. Raises ImportError."""
+    import jax
+    import jax.numpy as jnp
+    from kheperax.simu.geoms import Pos, Segment
+    from kheperax.simu.laser import Laser
+
+    x1, y1, x2, y2 = (jnp.asarray(column, dtype=jnp.float32) for column in walls.T)
+    segments, key = Segment(Pos(x1, y1), Pos(x2, y2)), jax.random.PRNGKey(0)
+
+    def ray(x: Any, y: Any, angle_rad: Any) -> Any:
+        return Laser(Pos(x, y), angle_rad, MAX_IN).get_measure(segments, False, 0.0, key)
+
+    rings = jax.jit(jax.vmap(jax.vmap(ray, (None, None, 0))))
+    angles_rad = places[:, 3:] + np.array(N150.body.ring.angles_rad)
+    arguments = [jnp.asarray(values, dtype=jnp.float32) for values in (places[:, 0], places[:, 1], angles_rad)]
+
+    def cast() -> FloatArray:
+        return np.asarray(rings(*arguments), dtype=np.float64)
+
+    return cast
+
+
 PEERS: Final[dict[str, Callable[[FloatArray, FloatArray, int | None], Cast]]] = {
     "vmas": vmas_rays,
+    "kheperax": kheperax_rays,
 }
 
 

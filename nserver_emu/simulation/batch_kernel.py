@@ -152,15 +152,16 @@ def make_loops(sources: int) -> Loops:
     """Return the loops in Python; the checksum of what they call is part of their key in numba's cache."""
 
     def advance(robots: Records, settings: Records, walls: FloatArray, dt_ps: int) -> None:
+        gaps = np.empty(walls.shape[1])
         for i in range(len(robots)):
-            _advance(robots[i], settings[0], walls, robots[i]["time_ps"] + dt_ps)
+            _advance(robots[i], settings[0], walls, gaps, robots[i]["time_ps"] + dt_ps)
         assert sources >= 0
 
     def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
         ranges = np.empty(walls.shape[1])
         for i in range(len(robots)):
             _measure(robots[i], settings[0], walls, ranges)
-            robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
+            robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls, ranges)
         assert sources >= 0
 
     def command(
@@ -203,14 +204,14 @@ def _start_ring(robot: np.void, settings: np.void, with_all: bool) -> None:
 # Time: `SimulatedRobot.advance_to`.
 
 
-def _advance(robot: np.void, settings: np.void, walls: FloatArray, end_ps: int) -> None:
+def _advance(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, end_ps: int) -> None:
     while robot["time_ps"] < end_ps:
         # 1. The next instant at which something other than motion happens.
         until_ps = min(end_ps, robot["deadline_ps"])
         if not settings["has_exact_motion"]:
             until_ps = min(until_ps, robot["due_ps"])
         # 2. Motion up to it, with the sonars that fire in between.
-        _move(robot, settings, walls, (until_ps - robot["time_ps"]) / PS_PER_S)
+        _move(robot, settings, walls, gaps, (until_ps - robot["time_ps"]) / PS_PER_S)
         robot["time_ps"] = until_ps
         # 3. The events at that instant.
         if until_ps == robot["deadline_ps"]:
@@ -320,7 +321,7 @@ def _turret_direction(robot: np.void, turret_rad: float) -> float:
 # Motion: `SimulatedRobot._move` and `_follow`.
 
 
-def _move(robot: np.void, settings: np.void, walls: FloatArray, span_s: float) -> None:
+def _move(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, span_s: float) -> None:
     left_s = span_s
     while left_s > 0.0:
         segment = _segment(robot, settings, left_s)
@@ -330,12 +331,13 @@ def _move(robot: np.void, settings: np.void, walls: FloatArray, span_s: float) -
             turned_rad = _advance_drive(robot, settings, left_s)
             _turn_uncounted(robot, settings, 0.0, turned_rad)
             return
-        left_s -= _follow(robot, settings, walls, segment, span_s - left_s)
+        left_s -= _follow(robot, settings, walls, gaps, segment, span_s - left_s)
 
 
 def _follow(
-    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, begin_s: float
-) -> float:
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
+    begin_s: float,
+) -> float:  # fmt: skip
     """Follow a segment to its end or to a contact; return the seconds it took."""
     duration = segment.duration_s
     steering_rad = robot["angles"][STEERING]
@@ -351,7 +353,7 @@ def _follow(
         actual = disturbed_segment(actual, settings["alphas"], along_normal, turn_normal)
     # 2. Contact on it, and whether the commanded motion presses on.
     heading = steering_rad + robot["pose"][YAW]
-    contact = _contact(robot, settings, walls, actual, heading)
+    contact = _contact(robot, settings, walls, gaps, actual, heading)
     is_blocked, free_s, commanded_in = False, duration, 0.0
     if contact.time_s < inf:
         free_s, commanded_in = contact.time_s, segment.distance_at(duration)
@@ -394,34 +396,40 @@ def _turn_uncounted(
 
 
 def _contact(
-    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, heading_rad: float
-) -> Contact:
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
+    heading_rad: float,
+) -> Contact:  # fmt: skip
     # Most segments are shorter than the clearance: nothing needs to be examined.
     distance = segment.length_bound(segment.duration_s)
     if distance == 0.0 or distance < robot["clearance_in"]:
         return NO_CONTACT
-    capsules = _walls_within(robot, settings, walls, distance)
+    capsules = _walls_within(robot, settings, walls, gaps, distance)
     if not len(capsules):
         return NO_CONTACT
     placed = PlacedSegment(robot["pose"][X], robot["pose"][Y], heading_rad, segment)
     return find_contact(placed, settings["radius_in"], capsules)
 
 
-def _walls_within(robot: np.void, settings: np.void, walls: FloatArray, distance_in: float) -> list[Capsule]:
-    """Return the walls within a distance, and update the clearance."""
+def _walls_within(
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, distance_in: float
+) -> list[Capsule]:
+    """Return the walls within a distance, and update the clearance; `gaps` (m,) is overwritten."""
+    begin, end = robot["wall_begin"], robot["wall_end"]
+    radius_in, x_in, y_in = settings["radius_in"], robot["pose"][X], robot["pose"][Y]
+    x1, y1, x2, y2 = walls[0], walls[1], walls[2], walls[3]
+    # The gaps to all walls in vectors, as the ranges in `_range_from_axis`; few walls are near.
+    for row in range(np.uint64(begin), np.uint64(end)):
+        gaps[row] = Capsule(x1[row], y1[row], x2[row], y2[row], 0.0).gap_to(radius_in, x_in, y_in)[0]
+    robot["clearance_in"] = _smallest(gaps, begin, end)
     found: list[Capsule] = []
-    clearance = inf
-    for row in range(robot["wall_begin"], robot["wall_end"]):
-        capsule = Capsule(walls[0, row], walls[1, row], walls[2, row], walls[3, row], 0.0)
-        gap = capsule.gap_to(settings["radius_in"], robot["pose"][X], robot["pose"][Y])[0]
-        clearance = min(clearance, gap)
-        if gap <= distance_in:
-            found.append(capsule)
-    robot["clearance_in"] = clearance
+    if robot["clearance_in"] <= distance_in:
+        for row in range(begin, end):
+            if gaps[row] <= distance_in:
+                found.append(Capsule(x1[row], y1[row], x2[row], y2[row], 0.0))
     return found
 
 
-def _bumpers(robot: np.void, settings: np.void, walls: FloatArray) -> int:
+def _bumpers(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray) -> int:
     bits = 0
     # Nothing can be that near.
     if robot["clearance_in"] > TOUCH_IN:
@@ -429,7 +437,7 @@ def _bumpers(robot: np.void, settings: np.void, walls: FloatArray) -> int:
     # The bumpers of a differential drive turn with its heading.
     frame_rad = 0.0 if settings["track_in"] == NO_TRACK else robot["angles"][STEERING]
     front = frame_rad + robot["pose"][YAW]
-    for capsule in _walls_within(robot, settings, walls, TOUCH_IN):
+    for capsule in _walls_within(robot, settings, walls, gaps, TOUCH_IN):
         _, away_x, away_y = capsule.gap_to(0.0, robot["pose"][X], robot["pose"][Y])
         bits |= touched_bumpers(atan2(-away_y, -away_x) - front, settings["bumper_angles_rad"][: settings["bumpers"]])
     return bits

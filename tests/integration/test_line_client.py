@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,12 @@ def run_server(*words: str) -> Iterator[Server]:
             running.end()
 
 
+def has_all_answers(robot: Robot) -> bool:
+    """Return True if every exchange on the line had an answer."""
+    link = robot.link
+    return link is not None and link.answers == link.exchanges
+
+
 @pytest.mark.usefixtures("serial_ports")
 @pytest.mark.parametrize("model", ["n150", "n200", "scout"])
 def test_drive_on_serial_line_and_over_tcp(model: str, tmp_path: Path) -> None:
@@ -57,10 +64,9 @@ def test_drive_on_serial_line_and_over_tcp(model: str, tmp_path: Path) -> None:
                 robot.move(translation_in=5)
                 assert robot.wait_until_still(20).x_in == pytest.approx(5, abs=0.3)
                 assert robot.state.bumpers == ()
-                link = robot.link
-                assert link is not None
+                assert robot.link is not None
                 # The keep-alive may be in the midst of an exchange.
-                wait_until(lambda link=link: link.answers == link.exchanges)
+                wait_until(partial(has_all_answers, robot))
                 assert start == 0
 
 
