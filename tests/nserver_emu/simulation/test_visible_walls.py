@@ -54,10 +54,8 @@ def test_every_wall_that_a_ray_of_the_cone_meets_is_found(count: int) -> None:
 def test_ranges_among_many_are_those_with_all_walls(monkeypatch: pytest.MonkeyPatch, model: Polaroid) -> None:
     rng = np.random.default_rng(3)
     walls = crowd(150, rng)
-    pings = [
-        Ping(*rng.uniform(-5.0, 5.0, 2).tolist(), angle, 10**12 + number * 4 * 10**9, (0.0, 0.0))
-        for number, angle in enumerate(rng.uniform(-np.pi, np.pi, 30).tolist())
-    ]
+    places = rng.uniform((-5.0, -5.0, -np.pi), (5.0, 5.0, np.pi), (30, 3)).tolist()
+    pings = [Ping(x, y, angle, (250 + n) * 4 * 10**9, (0.0, 0.0)) for n, (x, y, angle) in enumerate(places)]
 
     def ranges_in() -> list[float]:
         reflectors = ReflectorMap(walls, model.surfaces(5))
