@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from html import escape
 from typing import Final, NamedTuple, cast
 
 from nclient.protocol.client_state import ClientState
@@ -378,6 +377,8 @@ REACH_IN: Final = 130.0
 
 def state_html(state: RobotState, note: str = "") -> str:
     """Return a table of the state beside a picture of its sonars, as HTML."""
+    from html import escape  # only notebooks need it
+
     rows = "".join(f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>"
                    f"{escape(text)}</td></tr>" for name, text in _rows(state, note))  # fmt: skip
     return f"<div style='display:flex;gap:1em;align-items:center'>{sonars_svg(state)}<table>{rows}</table></div>"

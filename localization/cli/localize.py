@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
     if options.picture is not None:
-        from localization.live.plot import check_picture
+        from localization.plot import check_picture
 
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
@@ -169,7 +169,7 @@ def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool
 
 def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
-        from localization.live.plot import draw_run
+        from localization.plot import draw_run
 
         draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
@@ -319,7 +319,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     world, body = load_world(options.map), _body(options)
     check_writable(options.estimates, options.picture)
     if options.picture:
-        from localization.live.plot import check_picture
+        from localization.plot import check_picture
 
         check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
@@ -333,7 +333,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     if options.estimates:
         options.estimates.write_text(_table(done), encoding="utf-8")
     if options.picture:
-        from localization.live.plot import draw_run
+        from localization.plot import draw_run
 
         draw_run(options.picture, world, done, body)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)

@@ -22,9 +22,9 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.plot import check_picture, save
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
+from localization.plot import check_picture, save
 from nclient.common.arguments import add_flag, add_value
 from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode, show_seconds

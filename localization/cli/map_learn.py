@@ -22,7 +22,6 @@ from localization.cli import arguments
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
-from localization.live.plot import check_picture
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
@@ -34,6 +33,7 @@ from localization.mapping.output import LearnedMap, describe, draw_learned, summ
 from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.limits import MODEL_LIMITS
+from localization.plot import check_picture
 from nclient import Robot
 from nclient.common.arguments import add_value
 from nclient.common.files import write_errors_as

@@ -30,8 +30,8 @@ from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.filters.sonar_ray import RingBody
 from localization.live.log import LogRow, new_echoes, run_log
-from localization.live.plot import check_picture, save
 from localization.live.run import Run
+from localization.plot import check_picture, save
 from nclient.common.arguments import Parser
 from nclient.errors import LogFileError
 from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank

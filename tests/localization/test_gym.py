@@ -14,6 +14,7 @@ from localization.gym import RIGHT_REWARD, Localize, PilotPolicy, localize
 from nserver_emu.gym import WallFollower, run_episode
 
 
+@pytest.mark.long
 def test_reward_is_the_information_that_was_gained() -> None:
     env = localize()
     env.reset(seed=2)
@@ -54,6 +55,7 @@ def test_filter_needs_a_map() -> None:
         localize(world=None, address="sim:thesis_room")
 
 
+@pytest.mark.long
 def test_pilot_reaches_goals_behind_walls() -> None:
     env = gymnasium.make("Nomad/GoTo-v0")
     pilot = PilotPolicy("several_walls")

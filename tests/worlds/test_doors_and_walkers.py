@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError, WorldFileError
-from worlds.drawing import world_svg
 from worlds.io import format_world, load_world, parse_world
+from worlds.picture import world_svg
 from worlds.raycast import cast_ray
 from worlds.validate import validate_world
 from worlds.world import MAX_DOORS, MAX_ROUTE_POINTS, MAX_WALKERS, Door, Polygon, Walker, World
@@ -70,6 +70,7 @@ def test_written_world_is_the_same(name: str) -> None:
     assert validate_world(world, 9.0) == []
 
 
+@pytest.mark.long
 def test_space_behind_a_closed_door_is_not_closed_off() -> None:
     assert validate_world(halves(DOOR), 9.0) == []
     assert validate_world(halves(DOOR.replace('[[door]]\nname = "gate"', "[[wall]]")), 9.0) != []

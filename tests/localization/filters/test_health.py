@@ -51,6 +51,7 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
     assert monitor.health(SHARP.cov) == HEALTHY
 
 
+@pytest.mark.long
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     """Readings that really come from the estimate: two gaussians a standard deviation apart, in place of ranges."""
     rng, alarms, readings = np.random.default_rng(5), 0, 20_000
@@ -133,6 +134,7 @@ def densities_ratio(innovation: float, std: float, shift: float) -> float:
     return max(float(shifted), floor) - max(float(expected), floor)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shift", [-5.0, -1.3, 0.4, 3.0])
 @pytest.mark.parametrize("innovation", [-2.9, -0.3, 0.7, 1.6, 4.0])
 def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: float) -> None:
@@ -141,6 +143,7 @@ def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: flo
     assert displacement_evidence(innovation, nis, shift) == pytest.approx(densities_ratio(innovation, std, shift))
 
 
+@pytest.mark.long
 def test_slip_test_is_the_cusum_of_each_displacement() -> None:
     """Sums written out, of all displacements and both sides, for readings of a robot that is 2 in behind from half."""
     rng, std, test = np.random.default_rng(2), 0.8, SlipTest()
@@ -190,6 +193,7 @@ def test_something_unmapped_on_one_side_is_no_slip() -> None:
     assert "slipped" in monitor.health(np.eye(3)).reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bad", [0.0, 0.2])
 def test_consistent_or_bad_readings_seldom_mean_a_slip(bad: float) -> None:
     """Readings of a consistent filter; then a fifth of them anywhere, which agree on no displacement."""

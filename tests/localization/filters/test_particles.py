@@ -48,6 +48,7 @@ def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
     return ParticleFilter(draw_particles(BELIEF, count, rng), Ruler(), OdometryNoise(), rng, **more)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_a_linear_problem_agrees_with_the_kalman_filter() -> None:
     # 200,000 particles: the mean is accurate to std / 450.
     particles, gaussian = filter_of(200_000), BELIEF
@@ -154,6 +155,7 @@ def test_particles_too_close_together_degrade() -> None:
     assert "squared innovations" in cloud.health.reason
 
 
+@pytest.mark.long
 def test_a_cloud_away_from_the_robot_degrades() -> None:
     for off_in, status in ((0.0, HealthStatus.OK), (12.0, HealthStatus.DEGRADED)):
         rng, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
@@ -177,6 +179,7 @@ def test_wide_particle_cloud_is_degraded() -> None:
     assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
 
 
+@pytest.mark.long
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
     rng, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
     # A cloud of 3 in and 0.1 rad around a mean that is 2 in off.
@@ -193,6 +196,7 @@ def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
     assert cloud.belief.std[:2].max() < 1.0
 
 
+@pytest.mark.long
 def test_a_robot_that_stands_keeps_its_cloud() -> None:
     """Readings of whole inches, the same again and again: taken for news, they leave a handful of particles."""
     rng, truth = np.random.default_rng(6), np.array([40.5, 45.2, 0.31])

@@ -37,6 +37,7 @@ def drive(follower: PathFollower, pose: Floats, periods: int = 2000, share: floa
     return np.array(poses)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0)])
 def test_follower_keeps_to_plan_and_stops_at_its_end(goal: tuple[float, float]) -> None:
     planner = Planner(np.array(load_world("several_walls").walls), N150.radius_in)

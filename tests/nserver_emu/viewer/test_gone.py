@@ -100,6 +100,7 @@ async def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureF
     assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
+@pytest.mark.long
 async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0

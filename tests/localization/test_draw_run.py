@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.live import plot
+from localization import plot
 from nclient.errors import NomadError, OutputFileError
 from worlds import drawing
 
