@@ -107,14 +107,18 @@ def make_compilable(functions: Iterable[Callable[..., Any]]) -> None:
         register_jitable(function)
 
 
-def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function compiled by numba, when first called, or loaded from its cache."""
+def compile_function(function: Callable[..., Any], *, is_division_tested: bool = True) -> Callable[..., Any]:
+    """Return a function compiled by numba, when first called, or loaded from its cache.
+
+    Without the test of each division for zero, a quotient by 0 is inf or NaN, as in arrays.
+    """
     import numba
 
+    options: dict[str, Any] = {"nogil": True, "error_model": "python" if is_division_tested else "numpy"}
     try:
-        compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(function)
+        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no writable directory for the cache
-        compiled = numba.njit(nogil=True)(function)
+        compiled = numba.njit(**options)(function)
     return compiled
 
 
