@@ -23,7 +23,7 @@ NOISE = OdometryNoise(0.05, 0.05, 0.002)
 def test_steps_lead_along_the_encoders() -> None:
     log = drive(1)
     instants = np.array([0.33, 1.0, 1.77, 9.4, 9.5, 30.0])
-    steps, _, _ = integrate_odometry(log, instants, NOISE)
+    steps, _, _ = integrate_odometry(log, np.stack((instants[:-1], instants[1:]), axis=-1), NOISE)
     poses = log.poses_at(instants)[:, :3]
     for before, step, after in zip(poses[:-1], steps, poses[1:], strict=True):
         found = compose(before, step)
@@ -35,7 +35,7 @@ def test_steps_lead_along_the_encoders() -> None:
 def test_covariance_and_derivative_are_the_filter_s_prediction() -> None:
     log = drive(2)
     instants = np.array([3.0, 9.7])
-    _, covariance, by_parameters = integrate_odometry(log, instants, NOISE)
+    _, covariance, by_parameters = integrate_odometry(log, np.stack((instants[:-1], instants[1:]), axis=-1), NOISE)
     # The extended Kalman filter over the same encoder poses; the parameters' covariance gives the derivative.
     times = np.concatenate((instants[:1], log.encoders[(log.encoders[:, 0] > 3.0) & (log.encoders[:, 0] < 9.7), 0],
                             instants[1:]))  # fmt: skip
