@@ -37,8 +37,8 @@ from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, ob
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
+from worlds.compiled import VARIABLE
 from worlds.io import load_world
-from worlds.raycast import VARIABLE
 from worlds.rings import SonarMount
 from worlds.robots import N150
 

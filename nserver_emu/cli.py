@@ -56,6 +56,8 @@ from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.service import STOPPING, ServiceManager, announced
+from nserver_emu.simulation.acoustics import FIRST_ECHO, Polaroid
+from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
@@ -136,6 +138,15 @@ async def _serve(options: argparse.Namespace) -> int:
         return await _serve_with(proxies, setups, options, faults)
 
 
+def _prepare_acoustics(simulation: Simulation) -> None:
+    """Load or compile the acoustics of measured sonars, or decide that they run in plain Python."""
+    is_used = any(isinstance(robot.sonar.model, Polaroid) for robot in simulation.robots.values())
+    from localization.live.progress import show_seconds  # here: most servers do not need it
+
+    with show_seconds("preparing the sonars; numba compiles them once on a machine"):
+        FIRST_ECHO.prepare(is_used)
+
+
 async def _serve_with(
     proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
@@ -145,6 +156,7 @@ async def _serve_with(
     emulator = run_header.create_emulator()
     # Compiled before clients connect: the first ray would otherwise take seconds.
     load_compiled(len(emulator.simulation.robots))
+    _prepare_acoustics(emulator.simulation)
     if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
     # 2. Daemon, with a gateway between clients and simulation if there are real robots.

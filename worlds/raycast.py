@@ -20,7 +20,6 @@ filter casts one to three rays at a time; in arrays that takes about ten times a
 (docs/decisions/023-numba.md).
 """
 
-import os
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from math import inf, sqrt
@@ -29,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.errors import VariableError
+from worlds.compiled import is_compiled_for
 from worlds.geometry import FloatArray, nearest_points
 
 IndexArray = npt.NDArray[np.intp]
@@ -516,15 +515,6 @@ def _nearest(hits: FloatArray) -> tuple[FloatArray, IndexArray]:
 
 # The functions of one ray as machine code.
 
-VARIABLE: Final = "NOMAD_COMPILED"
-"""The environment variable: always, crowd (the default) or never."""
-
-CROWD: Final = 50
-"""So many robots, each ring read once a second, win back the loading of about a second within a minute."""
-
-_FROM_ROBOTS: Final = {"always": 1.0, "crowd": float(CROWD), "never": float("inf")}
-
-
 class CompiledKernel:
     """A function compiled by numba from its own source, loaded on demand.
 
@@ -553,20 +543,6 @@ class CompiledKernel:
 
 RAYCAST_KERNEL: Final = CompiledKernel()
 """The kernel of this process."""
-
-
-def is_compiled_for(robots: int) -> bool:
-    """Return True if NOMAD_COMPILED asks for compiled code with so many robots in this process.
-
-    Raises
-    ------
-    VariableError
-        The variable is set to an unknown word.
-    """
-    word = os.environ.get(VARIABLE, "crowd")
-    if word not in _FROM_ROBOTS:
-        raise VariableError(f"{VARIABLE} is {word!r}; it can be {', '.join(_FROM_ROBOTS)}")
-    return robots >= _FROM_ROBOTS[word]
 
 
 def load_compiled(robots: int) -> None:

@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache, partial
 from math import sqrt
-from pathlib import Path
-from typing import Any, cast
-from zlib import crc32
+from typing import Any
 
 import numpy as np
 
@@ -30,12 +28,13 @@ from localization.filters.sonar_ray import (
     wall_rows,
 )
 from localization.filters.update import NONE, kalman_gain, kalman_update
+from worlds.compiled import checksum, compile_function
 from worlds.raycast import NO_WALL, nearest_wall
 
 Step = Callable[..., None]
 
 
-def make_step(checksum: int) -> Step:
+def make_step(sources: int) -> Step:
     """Return the loop in Python; the checksum of what it calls is part of its key in numba's cache."""
 
     def step_robots(
@@ -99,7 +98,7 @@ def make_step(checksum: int) -> Step:
                     nis[i] += kalman_update(change, cov[i], H[beam], R[beam], left)
             mean[i] += change
             mean[i, HEADING] = wrap_angle(mean[i, HEADING])
-        assert checksum >= 0
+        assert sources >= 0
 
     return step_robots
 
@@ -107,18 +106,10 @@ def make_step(checksum: int) -> Step:
 @cache
 def load_step() -> Step:
     """Return the compiled loop. Raises ImportError without numba."""
-    import numba
-
-    compiled.load()
+    if not compiled.load():
+        raise ImportError("numba")
     # numba's cache watches this file only.
-    checksum = 0
-    for module in compiled.SOURCES:
-        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
-    step = make_step(checksum)
-    try:
-        return cast("Step", numba.njit(cache=True)(step))
-    except RuntimeError:  # no writable directory for the cache
-        return cast("Step", numba.njit(step))
+    return compile_function(make_step(checksum(*(module.__file__ for module in compiled.SOURCES))))
 
 
 def bind(

@@ -24,7 +24,7 @@ from localization.experiments.figure_trial import Figure, FigureResult, figure_r
 from nclient.common.files import write_atomic
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
-from worlds.raycast import is_compiled_for
+from worlds.compiled import is_compiled_for
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

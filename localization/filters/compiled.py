@@ -9,17 +9,12 @@ where either the code is on disk or a terminal shows that it is being compiled.
 from __future__ import annotations
 
 import logging
-import os
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
-from inspect import isfunction
 from pathlib import Path
-from typing import Any, Final, NamedTuple, cast
-from zlib import crc32
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -29,7 +24,8 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import Gate, RayModel, RaySonar
 from localization.filters.update import Covariance, DirectModel, Outcome, State
-from worlds import raycast
+from worlds import compiled, raycast
+from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path
 
 ENCODERS: Final = 5
 """Elements of `base.EncoderRow`."""
@@ -162,14 +158,10 @@ def _same(form: Callable[..., Any]) -> Callable[..., Any]:
 def load() -> bool:
     """Prepare numba; return True if it is installed. From then on `compiled_ring` returns rings."""
     try:
-        import numba
+        make_compilable(function for function in functions_of(*SOURCES) if function not in _FORMS)
         import numba.extending
     except ImportError:
         return False
-    for module in SOURCES:
-        for function in vars(module).values():
-            if isfunction(function) and function.__module__ == module.__name__ and function not in _FORMS:
-                numba.extending.register_jitable(function)
     for function, form in _FORMS.items():
         of_type = _form_of_rows if form is _wall_rows else _same(form)
         numba.extending.overload(function, strict=False)(of_type)
@@ -179,58 +171,33 @@ def load() -> bool:
 @cache
 def _checksum(loop: Callable[..., list[Outcome]]) -> int:
     """Return a checksum of all sources, with this file."""
-    checksum = crc32(Path(__file__).read_bytes(), crc32(Path(loop.__code__.co_filename).read_bytes()))
-    for module in SOURCES:
-        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
-    return checksum
+    return checksum(__file__, loop.__code__.co_filename, *(module.__file__ for module in SOURCES))
 
 
 def _mark(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Path:
-    """Return the file that marks this loop and update as compiled, in the folder of numba's cache."""
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
-    key = crc32(f"{version('numba')} {sys.implementation.cache_tag}".encode(), _checksum(loop))
-    return folder / f"compiled.{correct.__name__}.{key:08x}"
+    """Return the file that marks this loop and update as compiled."""
+    return mark_path(correct.__name__, _checksum(loop))
 
 
 def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> bool:
-    """Return True if compiled code is to be used: as NOMAD_COMPILED says, or where nothing waits for it unseen.
-
-    By default it is used if it is on disk, as importing numba and reading it takes a second, or if stderr is a
-    terminal, where a localizer shows that it is being compiled.
-
-    Raises
-    ------
-    VariableError
-        The variable is set to an unknown word.
-    """
-    if not raycast.is_compiled_for(raycast.CROWD):
-        return False
-    try:
-        return raycast.is_compiled_for(1) or _mark(loop, correct).exists() or sys.stderr.isatty()
-    except PackageNotFoundError:  # no numba
-        return False
+    """Return True if compiled code is to be used: see `worlds.compiled.is_wanted`."""
+    return compiled.is_wanted(correct.__name__, _checksum(loop))
 
 
 @cache
 def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., list[Outcome]]:
     """Return the loop over a ring with this update: compiled when called first, or loaded from the cache."""
-    import numba
-
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    checksum = _checksum(loop)
+    sources = _checksum(loop)
 
     def filter_ring(
         x: Any, P: Any, used: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, model: Any
     ) -> list[Outcome]:
-        assert checksum >= 0
+        assert sources >= 0
         return loop(x, P, used, encoders, poses, echoes, noise, model, correct)
 
-    numba.extending.register_jitable(loop)
-    try:
-        compiled: Any = numba.njit(cache=True)(filter_ring)
-    except RuntimeError:  # no writable directory for the cache
-        compiled = numba.njit(filter_ring)
-    return cast("Callable[..., list[Outcome]]", compiled)
+    make_compilable([loop])
+    return compile_function(filter_ring)
 
 
 class CompiledRing:

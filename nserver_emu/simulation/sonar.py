@@ -11,7 +11,7 @@ computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, inf, sin
 from typing import Final, NamedTuple
@@ -19,16 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nclient.protocol.types import MAX_SONAR_RATE, SONAR_RATE_STEP_S
-from nserver_emu.simulation.acoustics import (
-    MAX_UNSELECTED_WALLS,
-    Ping,
-    Polaroid,
-    ReflectorMap,
-    SonarErrors,
-    Steps,
-    completed,
-    range_std_in,
-)
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors, range_std_in
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
 from worlds.geometry import FloatArray
@@ -44,9 +35,8 @@ TICK_PS: Final = round(SONAR_RATE_STEP_S * PS_PER_S)
 MAX_RATE: Final = MAX_SONAR_RATE
 """The largest firing rate that a byte on the robot's serial line can hold; the slowest ring."""
 
-MAX_PAIRS_AT_ONCE: Final = 64
-"""Pairs of a ping and one before it that are computed together, among no more than FEW_WALLS."""
-FEW_WALLS: Final = 20
+MAX_UNSELECTED_WALLS: Final = 100
+"""With more walls, those in reach are selected first."""
 
 MAX_ORDER: Final = 256
 """Sonars in the order of a restored ring: conf_sn may name one several times."""
@@ -163,13 +153,6 @@ class Firing(NamedTuple):
     reflectors: ReflectorMap
 
 
-class Computation(NamedTuple):
-    """Readings that are being computed: their firings by sonar, and the steps."""
-
-    firings: dict[int, Firing]
-    steps: Steps[None]
-
-
 class SonarState(NamedTuple):
     """The state of a ring in a snapshot; fields as those of `SonarRing`."""
 
@@ -206,8 +189,6 @@ class SonarRing:
         self._stamps: list[Stamp | SegmentTime] = [NO_STAMP] * ring.count
         self._pings: list[Ping | None] = [None] * ring.count
         self._pending: dict[int, Firing] = {}
-        # What `compute_some` has begun.
-        self._begun: Computation | None = None
         self._earlier: tuple[Ping, ...] = ()
         self._firing: tuple[tuple[int, ...], ...] = ()
         self._interval_ps = self._count = 0
@@ -247,7 +228,6 @@ class SonarRing:
         self._earlier, self._firing, self._interval_ps = state.earlier, state.firing, state.interval_ps
         self._count, self.due_ps = state.fired, state.due_ps
         self._pending.clear()
-        self._begun = None
 
     @property
     def readings_in(self) -> tuple[float, ...]:
@@ -345,61 +325,40 @@ class SonarRing:
         return ping
 
     def compute_some(self) -> bool:
-        """Do one step towards the readings that are pending, some 0.1 ms; return True if none are left."""
-        if not self._pending or isinstance(self.model, SonarNoise):
-            return True
-        # 1. Some of the sonars: cost grows with the pairs of a ping and one before it, and with the walls.
-        if self._begun is None:
-            most_pairs = MAX_PAIRS_AT_ONCE * FEW_WALLS // max(FEW_WALLS, len(self._reflectors.walls))
-            sonars, pairs = list[int](), 0
-            for sonar, firing in self._pending.items():
-                pairs += 1 + len(firing.earlier)
-                if sonars and pairs > most_pairs:
-                    break
-                sonars.append(sonar)
-            firings = {sonar: self._pending[sonar] for sonar in sonars}
-            self._begun = Computation(firings, self._compute(firings))
-        # 2. The next step.
-        try:
-            next(self._begun.steps)
-        except StopIteration:
-            self._begun = None
-        return not self._pending
+        """Compute one of the readings that are pending; return True if none are left."""
+        if self._pending and isinstance(self.model, Polaroid):
+            self._compute(self.model, next(iter(self._pending)))
+            return not self._pending
+        return True
 
     def _compute_pending(self) -> None:
         """Compute the readings of all firings since the last call."""
-        if self._begun is not None:
-            steps, self._begun = self._begun.steps, None
-            completed(steps)
-        if self._pending:
-            completed(self._compute(dict(self._pending)))
+        if isinstance(self.model, Polaroid):
+            for sonar in tuple(self._pending):
+                self._compute(self.model, sonar)
+        elif self._pending:
+            self._cast(self.model)
 
-    def _compute(self, firings: Mapping[int, Firing]) -> Steps[None]:
-        """Compute the pending readings of these firings, by sonar; sonars that fire meanwhile stay pending."""
-        model = self.model
-        # 1. Firings among the same walls are computed together; between two readings walls seldom change. Dead sonars
-        #    draw noise as well, but are never computed.
+    def _compute(self, model: Polaroid, sonar: int) -> None:
+        """Compute a pending reading by the acoustics."""
+        ping, earlier, pose, reflectors = self._pending.pop(sonar)
+        # Dead sonars draw noise as well, but are never computed.
+        if sonar not in model.dead:
+            reach_in = model.reach_in(self._ring.max_range_in)
+            range_in = model.measured_range(ping, earlier, reflectors, self.body, pose.others, reach_in)
+            self._readings[sonar] = self._ring.reading(range_in + model.offset_in(sonar))
+
+    def _cast(self, model: SonarNoise) -> None:
+        """Compute all pending readings by exact rays."""
+        # Firings among the same walls are computed together; between two readings walls seldom change.
         by_walls: dict[int, dict[int, Firing]] = {}
-        for sonar, firing in firings.items():
+        for sonar, firing in self._pending.items():
             if sonar not in model.dead:
                 by_walls.setdefault(id(firing.reflectors), {})[sonar] = firing
-        ranges_in: dict[int, float] = {}
         for group in by_walls.values():
-            found_in = yield from self._range_steps(list(group.values()))
-            ranges_in |= zip(group, found_in, strict=True)
-        # 2. Their readings, where no later ping has taken their place.
-        for sonar, firing in firings.items():
-            if self._pending.get(sonar) is firing:
-                del self._pending[sonar]
-                if sonar in ranges_in:
-                    self._readings[sonar] = self._ring.reading(ranges_in[sonar] + model.offset_in(sonar))
-
-    def _range_steps(self, firings: Sequence[Firing]) -> Steps[list[float]]:
-        """Compute the ranges of firings among the same walls, inches, inf for no echo."""
-        model, reflectors, body = self.model, firings[0].reflectors, self.body
-        pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
-        if isinstance(model, SonarNoise):
-            return model.measured_ranges(pings, poses, reflectors.walls, body)
-        earlier, others = [firing.earlier for firing in firings], [pose.others for pose in poses]
-        reach_in = model.reach_in(self._ring.max_range_in)
-        return (yield from model.range_steps(pings, earlier, reflectors, body, others, reach_in))
+            firings = list(group.values())
+            pings, poses = [firing.ping for firing in firings], [firing.sensor_pose for firing in firings]
+            ranges_in = model.measured_ranges(pings, poses, firings[0].reflectors.walls, self.body)
+            for sonar, range_in in zip(group, ranges_in, strict=True):
+                self._readings[sonar] = self._ring.reading(range_in + model.offset_in(sonar))
+        self._pending.clear()

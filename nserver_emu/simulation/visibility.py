@@ -108,6 +108,8 @@ class SensorPose(NamedTuple):
     @property
     def others(self) -> FloatArray:
         """The robots (k, 3) without this one and without those beyond MAX_ROBOT_RANGE_IN."""
+        if len(self.robots.discs) < 2:
+            return NO_DISCS
         # In the order of the rows, so that results do not depend on the sorting by x.
         near = self.robots.near(self.x_in)
         rows = np.sort(near[:, 3]).astype(np.intp)

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from nclient.errors import VariableError
 from worlds import raycast
+from worlds.compiled import CROWD, VARIABLE
 from worlds.geometry import FloatArray, polygon_segments
-from worlds.raycast import CROWD, VARIABLE, CompiledKernel, cast_discs, cast_ray, load_compiled
+from worlds.raycast import CompiledKernel, cast_discs, cast_ray, load_compiled
 
 MAX_RANGE_IN = 500.0
 WHOLE = st.integers(-6, 6).map(float)

@@ -14,9 +14,8 @@ from localization.filters.odometry import OdometryNoise, relative_step
 from localization.live.log import new_echoes
 from nclient.cli.main import main as nomad
 from nclient.errors import LogFileError
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, completed
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.noise import BUILDING
-from worlds.geometry import NO_DISCS
 from worlds.robots import N150, read_model_file
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "udacity_corridor"
@@ -178,8 +177,7 @@ def simulated(part: corridor.Corridor, walls: np.ndarray, model: Polaroid, seed:
         x, y, heading = part.poses[row].tolist()
         pings.append(Ping(x, y, heading + body.ring.angles_rad[sonar], 0, model.draw(rng)))
     reflectors = ReflectorMap(walls, model.surfaces(seed))
-    steps = model.range_steps(pings, [()] * len(pings), reflectors, body, [NO_DISCS] * len(pings))
-    readings = np.array([body.ring.reading(range_in) for range_in in completed(steps)])
+    readings = np.array([body.ring.reading(model.measured_range(ping, (), reflectors, body)) for ping in pings])
     is_echo = readings < body.ring.max_range_in
     rows, sonars = np.array(fired).T
     return Echoes(part.poses[rows[is_echo]], sonars[is_echo], readings[is_echo])

@@ -19,8 +19,8 @@ from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeModel, ConeSonar, update_by_cone
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel, RaySonar, update_by_ray
 from localization.filters.update import Refusal
+from worlds.compiled import VARIABLE
 from worlds.io import load_world
-from worlds.raycast import VARIABLE
 from worlds.robots import N150
 
 WALLS = load_world("several_walls").walls

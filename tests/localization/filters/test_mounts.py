@@ -15,7 +15,8 @@ from localization.filters.particles import ConeLikelihood, RayLikelihood
 from localization.filters.registry import make, update_for
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, arm_of, cone_sonar, first_echoes
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, predict_beam, ranges_along, ray_sonar, wall_map
-from worlds.raycast import VARIABLE, cast_ray
+from worlds.compiled import VARIABLE
+from worlds.raycast import cast_ray
 from worlds.rings import Ring, SonarMount
 from worlds.robots import N150, Body
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import pytest
@@ -14,12 +13,12 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.server_state import ServerState
+from nserver_emu.server.server_state import PREPARING_S, ServerState
 from nserver_emu.server.session import ConnectionContext
-from nserver_emu.simulation.acoustics import Steps
+from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.noise import MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarRing
+from nserver_emu.simulation.sonar import SonarRing
 from tests.nserver_emu.server.running_server import running_server
 from worlds.io import load_world
 
@@ -154,19 +153,21 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
 
     async with running_server(speed=None, emulator=Emulator(simulation)) as server:
         scheduler, client = server.daemon.scheduler, await server.connect_client()
-        range_steps = SonarRing._range_steps
+        compute = SonarRing._compute
 
-        def counted(ring: SonarRing, firings: Sequence[Firing]) -> Steps[list[float]]:
-            pairs = sum(1 + len(firing.earlier) for firing in firings)
-            pings[scheduler.turns] = pings.get(scheduler.turns, 0) + pairs
-            return range_steps(ring, firings)
+        def costly(ring: SonarRing, model: Polaroid, sonar: int) -> None:
+            pings[scheduler.turns] = pings.get(scheduler.turns, 0) + 1
+            compute(ring, model, sonar)
+            end_s = time.thread_time() + PREPARING_S
+            while time.thread_time() < end_s:
+                pass
 
         await client.ask("conf_sn", 1, *DEFAULT_ORDER)
         server.daemon.emulator.clock.paused = True
-        monkeypatch.setattr(SonarRing, "_range_steps", counted)
+        monkeypatch.setattr(SonarRing, "_compute", costly)
         assert (await client.ask("gs")).kind == "state"
-    assert len(pings) >= 3
-    assert max(pings.values()) <= MAX_PAIRS_AT_ONCE
+    assert sum(pings.values()) == 16
+    assert max(pings.values()) == 1, "each uses up a turn"
 
 
 async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:

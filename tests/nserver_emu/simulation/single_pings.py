@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, completed
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from worlds.geometry import NO_DISCS, FloatArray
 from worlds.robots import Body
 
@@ -14,11 +14,9 @@ def first_echo_in(
     others: FloatArray = NO_DISCS,
 ) -> float:  # fmt: skip
     """Return the range of the first echo of one ping."""
-    (range_in,) = completed(model.first_echo_steps([ping], [earlier], reflectors, body, [others]))
-    return range_in
+    return model.first_echo_in(ping, earlier, reflectors, body, others)
 
 
 def measured_range(model: Polaroid, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body) -> float:
     """Return the measured range of one ping."""
-    (range_in,) = completed(model.range_steps([ping], [earlier], reflectors, body, [NO_DISCS]))
-    return range_in
+    return model.measured_range(ping, earlier, reflectors, body)

@@ -172,6 +172,19 @@ def test_a_robot_echoes_from_its_nearest_point_in_the_cone() -> None:
     assert first(disc(RADIUS + 0.2, 2.5)) == inf
 
 
+@pytest.mark.parametrize("gap_in", [0.05, 1.0, 60.0])
+def test_the_rim_of_the_cone_is_in_it_wherever_the_robot_is(gap_in: float) -> None:
+    """Rounding of the coordinates would leave out half of these echoes, and the next point is farther away."""
+    away, bearing = RADIUS + gap_in, HALF + 0.5 * asin(RADIUS / (RADIUS + gap_in))
+    along = away * cos(bearing - HALF) - sqrt(RADIUS**2 - (away * sin(bearing - HALF)) ** 2)
+    model = replace(MODEL, margin_db=1e6)
+    for turn in np.linspace(-3.0, 3.0, 61).tolist():
+        now = Ping(1156.8, 387.9, turn, 0, (0.0, 0.0))
+        x = 1156.8 + FACE * cos(turn) + away * cos(turn + bearing)
+        y = 387.9 + FACE * sin(turn) + away * sin(turn + bearing)
+        assert first(np.array([[x, y, RADIUS]]), model, now=now) == pytest.approx(along - MODEL.recess_in, abs=1e-7)
+
+
 def test_a_robot_echoes_at_angles_at_which_a_wall_does_not() -> None:
     """A wall through the nearest point of the robot, 45 degrees off, mirrors all away; a robot always faces one."""
     x = FACE + 40.0

@@ -6,11 +6,10 @@ from math import exp, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, completed
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.noise import BUILDING, MEASURED
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.surfaces import Surfaces
-from worlds.geometry import NO_DISCS
 from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import StartPose
@@ -25,8 +24,7 @@ SURFACE = Surfaces(7, STD_IN, LENGTH_IN, SPACING_IN).of(WALL)
 
 def ranges_in(model: Polaroid, wall: np.ndarray, pings: list[Ping], seed: int = 3) -> np.ndarray:
     reflectors = ReflectorMap(np.atleast_2d(wall), model.surfaces(seed))
-    steps = model.range_steps(pings, [()] * len(pings), reflectors, N150, [NO_DISCS] * len(pings))
-    return np.array(completed(steps))
+    return np.array([model.measured_range(ping, (), reflectors, N150) for ping in pings])
 
 
 def test_levels_are_normal_with_the_stated_deviation() -> None:

@@ -1,21 +1,18 @@
-"""Pings that nothing read are simulated together, in a few array operations, and with the same results."""
+"""Pings that nothing read are simulated when they are read, each once, and with the same results."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
 from nserver_emu.simulation import acoustics, infrared
-from nserver_emu.simulation.acoustics import Ping, ReflectorMap, Steps, completed
+from nserver_emu.simulation.acoustics import FIRST_ECHO, Ping, ReflectorMap
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import IDEAL, MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import MAX_PAIRS_AT_ONCE, Firing, SonarNoise, SonarRing
-from worlds import raycast
+from nserver_emu.simulation.sonar import SonarNoise, SonarRing
 from worlds.geometry import NO_DISCS
 from worlds.io import load_world
 from worlds.robots import N150
@@ -36,7 +33,7 @@ def ring_history(seed: int, turned_rad: float) -> list[Ping]:
 
 @pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
 @pytest.mark.parametrize("robots", [0, 2])
-def test_many_pings_equal_each_alone(world: str, robots: int) -> None:
+def test_the_order_of_computing_changes_no_bit(world: str, robots: int) -> None:
     assert isinstance(MODEL, acoustics.Polaroid)
     reflectors = ReflectorMap(load_world(world).walls)
     discs = np.array([(40.0, 10.0, 9.0), (5.0, 45.0, 9.0)])[:robots] if robots else NO_DISCS
@@ -44,32 +41,30 @@ def test_many_pings_equal_each_alone(world: str, robots: int) -> None:
         history = ring_history(seed, 0.7 * seed)
         pings = history[16:]
         earlier = [history[number + 1 : number + 16] for number in range(16)]
-        together = completed(MODEL.range_steps(pings, earlier, reflectors, N150, [discs] * 16))
-        alone = [
-            completed(MODEL.range_steps([ping], [before], reflectors, N150, [discs]))[0]
-            for ping, before in zip(pings, earlier, strict=True)
-        ]
-        np.testing.assert_allclose(together, alone, atol=1e-9)
-        assert any(np.isfinite(together))
+        fired = list(zip(pings, earlier, strict=True))
+        in_order = [MODEL.measured_range(*firing, reflectors, N150, discs) for firing in fired]
+        alone = ReflectorMap(load_world(world).walls)
+        backwards = [MODEL.measured_range(*firing, alone, N150, discs) for firing in reversed(fired)]
+        assert in_order == backwards[::-1]
+        assert any(np.isfinite(in_order))
 
 
-def test_a_poll_at_the_fastest_rate_takes_few_operations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One by one, 16 pings with a dozen of earlier ones each took 200 times as many."""
+def test_a_poll_at_the_fastest_rate_computes_each_ping_once(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
-    cast_rays = raycast.cast_rays
+    run = FIRST_ECHO.run
 
     def counted(*args: object) -> object:
         nonlocal calls
         calls += 1
-        return cast_rays(*args)  # type: ignore[arg-type]
+        return run(*args)
 
     simulation = Simulation(load_world("several_walls"))
     robot = simulation.add_robot(1, setup=MEASURED)
     robot.configure_sonars(1, DEFAULT_ORDER)
     simulation.step(1.0)
-    monkeypatch.setattr(acoustics, "cast_rays", counted)
+    monkeypatch.setattr(FIRST_ECHO, "run", counted)
     assert len(robot.sonar.readings_in) == 16
-    assert 0 < calls <= 16
+    assert calls == 16
     calls = 0
     assert len(robot.sonar.readings_in) == 16
     assert calls == 0, "each ping is simulated once"
@@ -82,7 +77,8 @@ def test_new_obstacles_simulate_no_ping(monkeypatch: pytest.MonkeyPatch) -> None
     before = robot.sonar.readings_in
     simulation.step(0.98)
     with monkeypatch.context() as patched:
-        patched.setattr(SonarRing, "_range_steps", None)
+        patched.setattr(SonarRing, "_cast", None)
+        patched.setattr(SonarRing, "_compute", None)
         patched.setattr(InfraredRing, "_ranges", None)
         patched.setattr(infrared, "cast_rays", None)
         for _ in range(100):
@@ -103,23 +99,13 @@ def full_ring() -> tuple[Simulation, SonarRing]:
     return simulation, robot.sonar
 
 
-def test_steps_give_the_same_readings_as_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[int] = []
-    range_steps = SonarRing._range_steps
-
-    def counted(ring: SonarRing, firings: Sequence[Firing]) -> Steps[list[float]]:
-        begun.append(sum(1 + len(firing.earlier) for firing in firings))
-        return range_steps(ring, firings)
-
+def test_steps_give_the_same_readings_as_all_at_once() -> None:
     (_, at_once), (_, in_steps) = full_ring(), full_ring()
     expected = at_once.readings_in
-    monkeypatch.setattr(SonarRing, "_range_steps", counted)
     steps = 1
     while not in_steps.compute_some():
         steps += 1
-    assert 2 <= len(begun) <= 4
-    assert max(begun) <= MAX_PAIRS_AT_ONCE
-    assert steps >= 5 * len(begun)
+    assert steps == 16, "one ping in each"
     assert in_steps.readings_in == expected
     assert in_steps.compute_some()
 
