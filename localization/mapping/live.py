@@ -50,6 +50,8 @@ ALWAYS_CHALLENGED: Final = 80
 CHALLENGE_GROWTH: Final = 1.5
 CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
+MAX_COST: Final = 0.95
+"""Cost, with all penalties, by the number of ranges, of a map that the robot may rely on to pass a gap."""
 MAX_MISFIT: Final = 0.8
 """Misfit of a sound map: 0.6 is usual with smooth walls, 1 and more with a wrong wall or a wrong turn."""
 POST_IN: Final = 0.5
@@ -133,9 +135,9 @@ class LiveMapper:
 
     @property
     def is_sound(self) -> bool:
-        """True if the map explains its readings."""
+        """True if the map explains its readings, with few walls and points for their number."""
         estimate = self.estimate
-        return estimate is not None and estimate.misfit < MAX_MISFIT
+        return estimate is not None and estimate.cost < MAX_COST * len(estimate.problem.trajectory.node)
 
     # The pose.
 

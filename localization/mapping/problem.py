@@ -72,7 +72,7 @@ class MapState:
         return len(self.walls) + len(self.points)
 
     def moved(self, poses: Floats, border: Floats) -> MapState:
-        """Return the state after a step of the poses (n, 3) and of everything else (m,), which is (0,) if it is fixed."""
+        """Return the state after a step of the poses (n, 3) and of everything else (m,), (0,) if that is fixed."""
         if not len(border):
             return replace(self, poses=self.poses + poses)
         walls, points = self.walls.size, self.points.size

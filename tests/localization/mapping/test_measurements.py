@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from localization.filters.belief import Belief, wrap_angle
 from localization.filters.odometry import OdometryNoise, predict, step_between
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.measurements import build_trajectory, compose, integrate_odometry, read_drive, rotate
+from localization.mapping.measurements import Steps, build_trajectory, compose, integrate_odometry, read_drive, rotate
 from localization.mapping.problem import sensors_at
 from nclient.cli import main
 from nclient.errors import RecordingError
@@ -87,3 +88,16 @@ def test_recording_without_a_restart_of_the_ring_is_refused(tmp_path: Path, caps
     capsys.readouterr()
     with pytest.raises(RecordingError, match="conf_sn"):
         read_drive(path)
+
+
+def test_odometry_that_was_integrated_before_is_used_again() -> None:
+    log, known = drive(), Steps()
+    whole = build_trajectory(log, NOISE, ConeSonar(), 0.15)
+    part = replace(log, instants_s=log.instants_s[:400], sonars=log.sonars[:400], readings_in=log.readings_in[:400])
+    build_trajectory(part, NOISE, ConeSonar(), 0.15, known)
+    before = len(known)
+    again = build_trajectory(log, NOISE, ConeSonar(), 0.15, known)
+    assert 0 < before < len(known)
+    np.testing.assert_array_equal(again.steps, whole.steps)
+    np.testing.assert_array_equal(again.step_info, whole.step_info)
+    np.testing.assert_array_equal(again.step_by_parameters, whole.step_by_parameters)
