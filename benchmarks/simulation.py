@@ -26,7 +26,7 @@ from peer import INSTALL, SPEED_IN_S, TURN_RAD_S, peer
 from scenes import WALLS, alone, crowd, roam
 
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.server.garbage_collection import GC_THRESHOLD
+from nserver_emu.server.daemon import GC_THRESHOLD
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup

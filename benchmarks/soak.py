@@ -30,7 +30,7 @@ from soak_clients import KINDS, MODELS, Target, control_request
 from soak_verdict import Finding, Sample, check_activity, check_end, check_samples
 
 from nclient.common.process import handle_termination_signals
-from nserver_emu.server.garbage_collection import MIN_INTERVAL_S
+from nserver_emu.server.daemon import MIN_INTERVAL_S
 
 TIMEOUT_S: Final = 600.0
 """Time-out of a reply on a busy machine; speed is not judged here."""
@@ -42,7 +42,7 @@ LOOKS: Final = 3
 """Number of counts of descriptors and memory, of which the smallest counts: others include this request for metrics,
 and a save in progress."""
 SETTLE_S: Final = MIN_INTERVAL_S + 2.0
-"""Real time for garbage collection (nserver_emu/server/garbage_collection.py) while simulated time is paused."""
+"""Real time for garbage collection (nserver_emu/server/daemon.py) while simulated time is paused."""
 COMPLAINTS: Final = ("Traceback", "was never retrieved", "was destroyed")
 FAULTS: Final = """
 seed = 1

@@ -21,7 +21,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.limits import MODEL_LIMITS
 from localization.navigation.obstacles import ObstacleTracker
 from localization.navigation.pilot import Pilot
-from localization.navigation.planner import Planner
+from localization.navigation.roadmap import Planner
 from nclient.protocol.types import M_PER_IN
 from nserver_emu.gym.environments import RobotEnv
 from nserver_emu.gym.robots import BoolArray, Sensed

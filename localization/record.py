@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.registry import DEFAULT_METHOD
-from localization.live.run import GroundTruth, Run, RunMoment
+from localization.live.run import GroundTruth, Run
 from localization.navigation.waypoints import Navigator, follow_waypoints, start_localizer
 from nclient.robot import Robot
 
@@ -40,7 +40,5 @@ def record_run(
     run, truth = Run([*waypoints]), GroundTruth(robot, robot.is_simulated())
     localizer = start_localizer(robot, config, belief, method)
     for step in follow_waypoints(robot, localizer, Navigator(run.waypoints), wait or robot.sleep):
-        state, estimate = step.state, step.estimate
-        odometry = (state.x_in, state.y_in, state.steering_rad)
-        run.add(RunMoment(estimate, odometry, truth.at(estimate.clock_s), step.passed, state.turret_rad))
+        run.add(truth.moment(*step))
     return run

@@ -38,7 +38,7 @@ from nclient.protocol.types import (
     tenths_from_rad,
     unwrap_word,
 )
-from nclient.state import WHEEL_IN_PER_DEG, Pose, RobotState, Truth, snapshot
+from nclient.state import WHEEL_IN_PER_DEG, Pose, RobotState, Truth, snapshot, state_html
 from nclient.units import AxisCommand, Points, firing_order, points_tenths, tenths_of
 
 RING: Final = range(SONAR_SLOTS)
@@ -146,7 +146,7 @@ class Robot:
         if self._is_inherited:
             return
         try:
-            # A lost link is no news here: the robot stops by its motion timeout.
+            # A lost link raises nothing here: the robot stops by its motion timeout.
             with contextlib.suppress(ConnectionLost, ReplyTimeout):
                 self.stop()
         except (RobotRefused, BumperHit):
@@ -161,8 +161,6 @@ class Robot:
         return self._backend.wire_state.model
 
     def _repr_html_(self) -> str:
-        from nclient.picture import state_html  # only notebooks need it
-
         return state_html(self.state, ", disconnected" if self.closed else "")
 
     @property
@@ -207,15 +205,11 @@ class Robot:
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def drive(
-        self,
-        *,
-        translation_in_s: float | None = None,
-        translation_m_s: float | None = None,
-        steering_deg_s: float | None = None,
-        steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None,
-        turret_rad_s: float | None = None,
-    ) -> RobotState:
+        self, *,
+        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm.
 
         Parameters
@@ -240,15 +234,11 @@ class Robot:
         )
 
     def move(
-        self,
-        *,
-        translation_in: float | None = None,
-        translation_m: float | None = None,
-        steering_deg: float | None = None,
-        steering_rad: float | None = None,
-        turret_deg: float | None = None,
-        turret_rad: float | None = None,
-    ) -> RobotState:
+        self, *,
+        translation_in: float | None = None, translation_m: float | None = None,
+        steering_deg: float | None = None, steering_rad: float | None = None,
+        turret_deg: float | None = None, turret_rad: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr.
 
         Parameters
@@ -273,15 +263,11 @@ class Robot:
         )
 
     def move_to(
-        self,
-        *,
-        translation_in: float | None = None,
-        translation_m: float | None = None,
-        steering_deg: float | None = None,
-        steering_rad: float | None = None,
-        turret_deg: float | None = None,
-        turret_rad: float | None = None,
-    ) -> RobotState:
+        self, *,
+        translation_in: float | None = None, translation_m: float | None = None,
+        steering_deg: float | None = None, steering_rad: float | None = None,
+        turret_deg: float | None = None, turret_rad: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa.
 
         Units as in `move`. Raises RobotRefused for other models and for servers.
@@ -308,26 +294,20 @@ class Robot:
         return self._command("mv", *translation, *steering, *turret)
 
     def drive_wheels(
-        self,
-        *,
-        right_in_s: float | None = None,
-        left_in_s: float | None = None,
-        right_m_s: float | None = None,
-        left_m_s: float | None = None,
-    ) -> RobotState:
+        self, *,
+        right_in_s: float | None = None, left_in_s: float | None = None,
+        right_m_s: float | None = None, left_m_s: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
         self._require_wheels("vm")
         right = tenths_of(right_in_s=right_in_s, right_m_s=right_m_s)
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
     def move_wheels(
-        self,
-        *,
-        right_in: float | None = None,
-        left_in: float | None = None,
-        right_m: float | None = None,
-        left_m: float | None = None,
-    ) -> RobotState:
+        self, *,
+        right_in: float | None = None, left_in: float | None = None,
+        right_m: float | None = None, left_m: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
         self._require_wheels("pr")
         right = tenths_of(right_in=right_in, right_m=right_m)
@@ -407,15 +387,11 @@ class Robot:
     # -- settings -----------------------------------------------------------------------------------------------------
 
     def set_speeds(
-        self,
-        *,
-        translation_in_s: float | None = None,
-        translation_m_s: float | None = None,
-        steering_deg_s: float | None = None,
-        steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None,
-        turret_rad_s: float | None = None,
-    ) -> RobotState:
+        self, *,
+        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Set the speeds of `move`; an axis that is not given gets 0. C: sp.
 
         Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
@@ -428,15 +404,11 @@ class Robot:
         )
 
     def set_accelerations(
-        self,
-        *,
-        translation_in_s2: float | None = None,
-        translation_m_s2: float | None = None,
-        steering_deg_s2: float | None = None,
-        steering_rad_s2: float | None = None,
-        turret_deg_s2: float | None = None,
-        turret_rad_s2: float | None = None,
-    ) -> RobotState:
+        self, *,
+        translation_in_s2: float | None = None, translation_m_s2: float | None = None,
+        steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
+        turret_deg_s2: float | None = None, turret_rad_s2: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Set the accelerations; an axis that is not given gets 0. C: ac.
 
         Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
@@ -449,24 +421,18 @@ class Robot:
         )
 
     def set_position(
-        self,
-        *,
-        x_in: float | None = None,
-        y_in: float | None = None,
-        x_m: float | None = None,
-        y_m: float | None = None,
-    ) -> RobotState:
+        self, *,
+        x_in: float | None = None, y_in: float | None = None,
+        x_m: float | None = None, y_m: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
     def set_angles(
-        self,
-        *,
-        steering_deg: float | None = None,
-        steering_rad: float | None = None,
-        turret_deg: float | None = None,
-        turret_rad: float | None = None,
-    ) -> RobotState:
+        self, *,
+        steering_deg: float | None = None, steering_rad: float | None = None,
+        turret_deg: float | None = None, turret_rad: float | None = None,
+    ) -> RobotState:  # fmt: skip
         """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""
         steering = tenths_of(steering_deg=steering_deg, steering_rad=steering_rad)
         return self._command("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))

@@ -5,7 +5,7 @@
     nserver help [ctl]                                          help on either
 
 Programs read `listening KIND ADDRESS` lines from stdout; everything else goes to stderr. Exit codes are those of
-nclient.common.exit_codes.
+nclient.common.process.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import numpy as np
 from nclient.common import process
 from nclient.common.allowlist import allowlist_from_options, warning
 from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.format import read_recording
 from nserver_emu import logs
@@ -39,16 +39,12 @@ from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
-from nserver_emu.persistence.recording import RunHeader
-from nserver_emu.persistence.replay import replay
-from nserver_emu.ros2.options import running_ros2
-from nserver_emu.rosbridge.options import running_rosbridge
-from nserver_emu.rosbridge.topics import Estimates
+from nserver_emu.persistence.recording import RunHeader, replay
+from nserver_emu.ros.options import running_ros
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
-from nserver_emu.server.daemon import Daemon, ignore_signals, restored_signals, stop_on_signals
-from nserver_emu.server.garbage_collection import rare_collection
+from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.legacy_setup import LegacySetup, read_setups
 from nserver_emu.server.limits import limits_of, make_room
@@ -141,9 +137,7 @@ async def _serve(options: argparse.Namespace) -> int:
 def _prepare_acoustics(simulation: Simulation) -> None:
     """Load or compile the acoustics of measured sonars, or decide that they run in plain Python."""
     is_used = any(isinstance(robot.sonar.model, Polaroid) for robot in simulation.robots.values())
-    from localization.live.progress import show_seconds  # here: most servers do not need it
-
-    with show_seconds("preparing the sonars; numba compiles them once on a machine"):
+    with process.show_seconds("preparing the sonars; numba compiles them once on a machine"):
         FIRST_ECHO.prepare(is_used)
 
 
@@ -194,18 +188,16 @@ async def _run(
     # 1. Everything that listens; each closes what it opened: pages and bridges before the gateway, which they drive.
     lines = await open_lines(daemon, options)
     manager = ServiceManager(os.environ)
-    estimates = Estimates()
     async with (
         controlled(daemon, options) as control,
         run_gateway(gateway, daemon, options.shadow_every),
         running_viewer(daemon, options) as page,
-        running_rosbridge(daemon, options, estimates) as rosbridge,
-        running_ros2(daemon, options, estimates) as ros2,
+        running_ros(daemon, options) as ros,
         autosaved(file, options.autosave),
     ):
         # 2. Programs may connect as soon as they have read these lines.
         own = f"listening nserver {at_port(options.bind, daemon.emulator.port)}"
-        for line in (own, *lines, *control, *page, *rosbridge, *ros2):
+        for line in (own, *lines, *control, *page, *ros):
             logs.print_line(line)
         # 3. Serve; the service manager is notified when all is open.
         with rare_collection():

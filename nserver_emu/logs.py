@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log-format", choices=(TEXT, JSON), default=TEXT,
                         help="format of stderr: text (default), or json, one object per line")
     parser.add_argument("--log-level", choices=tuple(LEVELS),
-                        help="lowest level that is logged on stderr (default warning; -v info, -vv debug)")
+                        help="lowest level that is logged on stderr (default: warning; -v info, -vv debug)")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="log more on stderr (-vv: everything)")
 
 

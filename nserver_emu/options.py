@@ -6,22 +6,28 @@ Files are only checked for existence here. Options of a package are defined in t
 """
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
-from nclient.common.arguments import ABOVE_ZERO, Parser, add_flag, number, whole_number
-from nclient.common.hints import suggest, version
+from nclient.common.allowlist import LOOPBACK
+from nclient.common.arguments import (
+    ABOVE_ZERO,
+    Parser,
+    add_flag,
+    add_version,
+    number,
+    protect_coordinates,
+    whole_number,
+)
+from nclient.common.hints import suggest
 from nserver_emu import logs
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import options as restore_options
-from nserver_emu.ros2 import options as ros2_options
-from nserver_emu.rosbridge import options as rosbridge_options
+from nserver_emu.ros import options as ros_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
-from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
@@ -52,41 +58,40 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
                             help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and "
                             "the original's robot.setup and world.setup, of which the documented keys are read")
     parser.add_argument("--port", type=whole_number("a port", 0, 65535),
-                        help=f"TCP port to listen on (default {DEFAULT_PORT}; 0 takes a free one)")
+                        help=f"TCP port to listen on (default: {DEFAULT_PORT}; 0 takes a free one)")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
-                        help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
+                        help=f"address to listen on (default: {LOOPBACK}; the protocol has no authentication)")
     _add_robots(parser)
     _add_time(parser)
     _add_persistence(parser)
     _add_setup(parser)
     # Packages add their own options, in the order of --help.
-    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, rosbridge_options,
-                    ros2_options):
+    for package in (serial_lines, real_options, control_options, allowlist, limits, viewer_options, ros_options):
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)
-    parser.add_argument("--version", action="version", version=f"nserver {version()}")
+    add_version(parser)
     return parser
 
 
 def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
-                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default "
-                        f"{MODEL_NAMES[0]}); once more for robot 2, and so on")
+                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default: "
+                        f"{MODEL_NAMES[0]}); repeatable, for robot 2 and so on")
     parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
-                        help="number of robots (default 1), numbered 1 to N; clients find the second at nserver://HOST/2")
+                        help="number of robots (default: 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
                         help="read a TOML file of models that override or extend the built-in ones")
     parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
-                        help="set the start pose in inches and degrees; repeat it for robot 2, and so on")
+                        help="set the start pose in inches and degrees; repeatable, for robot 2 and so on")
     parser.add_argument("--seed", type=whole_number("a seed", 0, 2**31 - 1), default=0,
-                        help="set the seed of all noise (default 0)")
+                        help="set the seed of all noise (default: 0)")
 
 
 def _add_time(parser: Parser) -> None:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
-                        f"{MAX_SPEED} (default 1)")
+                        f"{MAX_SPEED} (default: 1)")
     add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
     step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
     parser.add_argument("--lockstep", type=step, metavar="DT",
@@ -120,7 +125,7 @@ def _add_setup(parser: Parser) -> None:
 def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
     # 1. Old spellings and coordinates, then argparse.
-    words = [_as_value(as_long_option(word)) for word in words]
+    words = [protect_coordinates(as_long_option(word)) for word in words]
     options: argparse.Namespace = parser.parse_args(words)
     # 2. Positional words: a world and the original's setup files.
     default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
@@ -131,8 +136,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
-    rosbridge_options.refuse(parser, options)
-    ros2_options.refuse(parser, options)
+    ros_options.refuse(parser, options)
     restore_options.check_options(parser, options, words)
     # 4. With --restore the saved pace applies unless an option of time was given.
     options.keeps_pace = restore_options.keeps_pace(parser, words)
@@ -177,11 +181,6 @@ def _is_setup(name: str) -> bool:
     path = Path(name)
     # A file of any name is a setup if it exists, and is neither TOML nor the name of a shipped world.
     return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
-
-
-def _as_value(word: str) -> str:
-    """Protect coordinates such as -5,3, which argparse takes for an option, with a blank."""
-    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def _speed(text: str) -> float | None:

@@ -15,8 +15,7 @@ import argparse
 from nclient.common.arguments import add_address, add_flag
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.ros2.options import ANY, LOOPBACK, add_distro, config_of
-from nserver_emu.rosbridge.options import DEFAULT_PORT, port_text
+from nserver_emu.ros.options import ANY, DEFAULT_PORT, LOOPBACK, add_distro, config_of, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_distro(parser, "--distro")
     parser.add_argument("--rosbridge", nargs="?", type=port_text, const=str(DEFAULT_PORT), metavar="[HOST:]PORT",
                         help="serve rosbridge as well; to the printed address `nomad localize --publish` sends "
-                        f"estimates for both (default port {DEFAULT_PORT}; needs the extra viewer)")
+                        f"estimates for both (default: port {DEFAULT_PORT}; needs the extra viewer)")
     add_flag(parser, "--print-config",
              "print a configuration of Cyclone DDS, with which its other programs find this one, and exit")
 

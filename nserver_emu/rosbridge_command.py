@@ -13,14 +13,14 @@ from pathlib import Path
 from nclient.common.arguments import add_address
 from nclient.connector import address_or_default
 from nserver_emu import cli
-from nserver_emu.rosbridge.options import DEFAULT_PORT, add_origin, port_text
+from nserver_emu.ros.options import DEFAULT_PORT, add_origin, port_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_address(parser)
     parser.add_argument("--port", type=port_text, default=str(DEFAULT_PORT), metavar="[HOST:]PORT",
-                        help=f"port to listen on, on loopback unless HOST is given (default {DEFAULT_PORT}; 0 takes a "
+                        help=f"port to listen on, on loopback unless HOST is given (default: {DEFAULT_PORT}; 0 takes a "
                         "free one)")
     parser.add_argument("--map", metavar="WORLD", help="publish this world as /map: a shipped world or a TOML file")
     parser.add_argument("--token-file", type=Path, metavar="FILE",

@@ -27,6 +27,8 @@ from worlds.simplify import douglas_peucker
 from worlds.world import Point, World
 
 Corner = tuple[int, int]
+MARGIN_IN: Final = 12.0
+"""Unknown border of the grid of a world."""
 MAX_CELLS: Final = 50_000_000
 """Largest grid that is read or written: a floor of 350 x 350 m in cells of 5 cm."""
 
@@ -275,7 +277,7 @@ def _meeting(
     return 0.5 * (_foot(one, corner) + _foot(other, corner))
 
 
-def cells_of_world(world: World, size_in: float, margin_in: float = 12.0) -> OccupancyGrid:
+def cells_of_world(world: World, size_in: float) -> OccupancyGrid:
     """Return the occupancy grid of a world.
 
     Cells that a wall crosses are occupied, cells connected with a start are free, all others unknown.
@@ -289,8 +291,8 @@ def cells_of_world(world: World, size_in: float, margin_in: float = 12.0) -> Occ
 
     # 1. Grid around all walls, its origin on a multiple of the cell size.
     ends = world.walls.reshape(-1, 2)
-    low = np.floor((ends.min(axis=0) - margin_in) / size_in) * size_in
-    shape = tuple(ceil(extent / size_in) for extent in ends.max(axis=0) + margin_in - low)
+    low = np.floor((ends.min(axis=0) - MARGIN_IN) / size_in) * size_in
+    shape = tuple(ceil(extent / size_in) for extent in ends.max(axis=0) + MARGIN_IN - low)
     if shape[0] * shape[1] > MAX_CELLS:
         raise ValueError(f"a grid of {shape[0]} x {shape[1]} cells is too large: use cells larger than {size_in:g} in")
     cells = np.full(shape, Cell.UNKNOWN, dtype=np.uint8)

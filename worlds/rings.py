@@ -21,7 +21,7 @@ the ring, moved forwards and to the left. A ring whose sonars all look away from
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, degrees, floor, radians, sin
+from math import cos, floor, radians, sin
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec import UNSET, Meta, UnsetType
@@ -299,15 +299,3 @@ def _mounted(ring: Ring, mounts_in: tuple[tuple[float, float], ...]) -> Ring:
 
 def _or(value: Any, default: float) -> float:
     return default if value is UNSET else float(value)
-
-
-def ring_as_json(ring: Ring) -> dict[str, Any]:
-    """Return a ring as plain data: degrees, inches, seconds."""
-    return {
-        "angles_deg": [round(degrees(angle), 6) for angle in ring.angles_rad],
-        "mounts_in": [[round(number, 6) for number in ring.mount_in(sonar)] for sonar in range(ring.count)],
-        "order": [list(group) for group in ring.firing], "interval_s": ring.interval_s,
-        "min_range_in": ring.min_range_in, "max_range_in": ring.max_range_in, "resolution_in": ring.resolution_in,
-        "no_echo_in": ring.no_echo_in,
-        "half_cone_deg": None if ring.half_cone_rad is None else degrees(ring.half_cone_rad),
-    }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 
 NOMAD, NSERVER, CTL, EXPERIMENTS = "nomad", "nserver", "nserver ctl", "localization.experiments"
 ALL = (NOMAD, NSERVER, CTL)

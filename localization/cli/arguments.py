@@ -175,7 +175,7 @@ def add_localization_options(parser: argparse.ArgumentParser, method: str, metho
     add_value(parser, "--start-std", "X,Y,HEADING", parse_pose_std,
               "standard deviation of the initial pose, inches and degrees (default: 0.1,0.1,0.57; of encoders of a "
               "robot that has driven: wider)")
-    add_value(parser, "--speed", "IN_S", parse_positive, "top speed in in/s", Speeds().translation_in_s)
+    add_value(parser, "--speed", "IN_S", parse_positive, "top speed in inches per second", Speeds().translation_in_s)
     add_robot_model_options(parser)
     add_value(parser, "--scale-std", "A[,B[,C]]", parse_scale_std,
               "estimate systematic odometry errors with these initial standard deviations: distance "

@@ -1,4 +1,11 @@
-"""Drive a square, estimate the systematic errors of wheels and sonars, write a model file."""
+"""Drive a square, estimate the systematic errors of wheels and sonars, write a model file.
+
+    nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml
+    nomad calibrate "sim:thesis_room?setup=worn&seed=1" --out worn.toml --laps 2
+
+The robot drives the square (UMBmark) in both directions and turns in place at its corners, while a filter estimates the
+errors from the walls. Exit code 0: done; 3: given up; 4: the readings do not fit the sonar model, nothing is written.
+"""
 
 import argparse
 import json
@@ -9,18 +16,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.calibration import procedure
 from localization.cli import arguments
 from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
 from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.localizer import Consistency
+from localization.navigation import umbmark
 from localization.navigation.recovery import StallDetector
+from localization.navigation.waypoints import follow_waypoints, start_localizer
 from nclient import Robot
 from nclient.common.arguments import add_address, add_flag, add_value, whole_number
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode
 from nclient.errors import OutputFileError
 from worlds.robots import Calibration, calibration_as_json, format_calibration
 from worlds.world import World
@@ -37,11 +45,6 @@ SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad calibrate`."""
-    parser.description = (
-        "Estimate the systematic errors of a robot's wheels and sonars: drive a square (UMBmark) in both directions, "
-        "turning in place at its corners, while a filter estimates them from the walls; then write a model file."
-    )
-    parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
     add_address(parser)
     arguments.add_map_option(parser)
     add_value(parser, "--out", "FILE", Path,
@@ -58,10 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
               f"typical value, at most {MAX_LAPS})")
     add_value(parser, "--spins", "N", whole_number("the number of turns", 0, MAX_COUNT),
               "full turns in place at each corner, for the turn scale", 1)
-    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in in/s", SPEED_IN_S)
-    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in deg/s", TURN_DEG_S)
+    add_value(parser, "--speed", "IN_S", arguments.parse_positive, "speed in inches per second", SPEED_IN_S)
+    add_value(parser, "--turn-speed", "DEG_S", arguments.parse_positive, "speed of turns in degrees per second",
+              TURN_DEG_S)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
-              "give up after this time in s of the robot's clock", 3600.0)
+              "give up after this many seconds of the robot's clock", 3600.0)
     add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 
 
@@ -88,14 +92,14 @@ def run(options: argparse.Namespace) -> int:
     # 3. Results.
     found, laps = made
     if not options.json:
-        print(f"{procedure.table(found)}\n{_describe_fit(found, fit, laps)}")
+        print(f"{umbmark.table(found)}\n{_describe_fit(found, fit, laps)}")
     if not fit.is_good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
     if options.json:
         quality = {"nis": fit.nis, "refused_share": fit.refused_fraction, "laps": laps}
-        judgement = {"known_too_little": procedure.missing(found), "within_noise_of_zero": procedure.noise_in(found)}
+        judgement = {"known_too_little": umbmark.missing(found), "within_noise_of_zero": umbmark.noise_in(found)}
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
         comment = f"nomad calibrate, in {world.name}: {laps} laps in each direction, {options.spins} turns per corner"
@@ -115,16 +119,18 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)
     first = _tasks(world, body.radius_in, start, square, options)
-    extra_lap = procedure.tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
+    extra_lap = umbmark.tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
     max_laps = 1 if options.laps is not None else MAX_LAPS
-    laps = procedure.LapPolicy(
-        extra_lap, max_laps, lambda: not (fit.is_good and procedure.missing(procedure.calibration_in(method.belief)))
+    laps = umbmark.LapPolicy(
+        extra_lap, max_laps, lambda: not (fit.is_good and umbmark.missing(umbmark.calibration_in(method.belief)))
     )
     # 3. Drive; give up after the time limit or when the robot does not move.
-    driver = procedure.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
+    driver = umbmark.Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
-    for progress in procedure.run(robot, config, method, driver, robot.sleep):
+    localizer = start_localizer(robot, config, method.belief, method)
+    has_turret = robot.model.has_turret
+    for progress in follow_waypoints(robot, localizer, driver, robot.sleep, turns_turret=has_turret):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
@@ -134,43 +140,43 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
             return f"after {clock_s - began_s:.0f} s: {stalled}; check --start and the map"
         if not options.json and clock_s >= printed_s + PRINT_INTERVAL_S:
             printed_s = clock_s
-            print(_line(clock_s - began_s, driver, procedure.calibration_in(method.belief)), flush=True)
-    return procedure.calibration_in(method.belief), laps.begun if options.laps is None else options.laps
+            print(_line(clock_s - began_s, driver, umbmark.calibration_in(method.belief)), flush=True)
+    return umbmark.calibration_in(method.belief), laps.begun if options.laps is None else options.laps
 
 
 class _Route(NamedTuple):
     """The path to the square and the first laps; the corner where the laps begin and end."""
 
-    tasks: list[procedure.Task]
-    corner: procedure.DriveTo
+    tasks: list[umbmark.Task]
+    corner: umbmark.DriveTo
 
 
 def _square_of(
     world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace
-) -> procedure.Square:
+) -> umbmark.Square:
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
-    square: procedure.Square = options.square or procedure.largest_square(world, radius_in, (start[0], start[1]))
-    if not procedure.is_clear(square, world, radius_in):
+    square: umbmark.Square = options.square or umbmark.largest_square(world, radius_in, (start[0], start[1]))
+    if not umbmark.is_clear(square, world, radius_in):
         reason = f"the square {tuple(square)} comes too near to walls: choose another, or omit --square"
-        raise procedure.NoSquareError(reason)
+        raise umbmark.NoSquareError(reason)
     return square
 
 
 def _tasks(
-    world: World, radius_in: float, start: tuple[float, ...], square: procedure.Square, options: argparse.Namespace
+    world: World, radius_in: float, start: tuple[float, ...], square: umbmark.Square, options: argparse.Namespace
 ) -> _Route:
     """Return the route to the square and around it. Raises NoPathError if the square cannot be reached."""
     here = (start[0], start[1])
     # The first task is the drive to the nearest corner; it is replaced by a path around obstacles.
-    corner, *rest = procedure.tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
-    assert isinstance(corner, procedure.DriveTo)
-    return _Route([*procedure.path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
+    corner, *rest = umbmark.tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
+    assert isinstance(corner, umbmark.DriveTo)
+    return _Route([*umbmark.path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
 def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     """Return how well the calibration fits and what is not known well enough, as text."""
     # Parameters that are not known well enough yet.
-    short = procedure.missing(found)
+    short = umbmark.missing(found)
     if not short or not fit.is_good:
         return fit.line()
     text = f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; "
@@ -178,19 +184,19 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     return f"{text}\n{fit.line()}"
 
 
-def _line(passed_s: float, driver: procedure.Driver, found: Calibration) -> str:
+def _line(passed_s: float, driver: umbmark.Driver, found: Calibration) -> str:
     # Estimates with standard deviations; scales have no unit.
     spread = found.spread
     return (
-        f"{passed_s:6.0f} s  {driver.done:3d} of {driver.count} done  "
+        f"{passed_s:6.0f} s  {driver.passed:3d} of {driver.count} done  "
         f"distance {found.distance_scale:.4f} ± {spread.distance_scale:.4f}  "
         f"turn {found.turn_scale:.4f} ± {spread.turn_scale:.4f}  "
         f"drift {found.drift_rad_in:+.5f} ± {spread.drift_rad_in:.5f} rad/in"
     )
 
 
-def _square(text: str) -> procedure.Square:
+def _square(text: str) -> umbmark.Square:
     x, y, side = arguments.parse_numbers(text, 3)
     if side <= 0:
         raise argparse.ArgumentTypeError("expected a side longer than 0")
-    return procedure.Square(x, y, side)
+    return umbmark.Square(x, y, side)

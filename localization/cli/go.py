@@ -33,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="drive to this position, inches and degrees",
     )
     add_value(parser, "--within", "IN", _number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
-              "accept positions within this distance in in", STOP_RADIUS_IN)
+              "accept positions within this many inches", STOP_RADIUS_IN)
     add_value(parser, "--time-limit", "S", _number_between(MIN_TIME_S, MAX_TIME_S),
-              "give up after this time in s of the robot's clock", 300.0)
+              "give up after this many seconds of the robot's clock", 300.0)
     parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
                         help="select the behaviour when the robot is lost (default: %(default)s)")  # fmt: skip
     parser.set_defaults(report=None)

@@ -15,10 +15,9 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Final
 
-from localization.course.grading import DEFAULT_SEED, Grade, Limits, grade
-from localization.course.submission import SubmissionError
+from localization.course.grading import DEFAULT_SEED, Grade, Limits, SubmissionError, grade
 from nclient.common.arguments import add_flag, add_value, number, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 
 CHECKPOINTS: Final = ".ipynb_checkpoints"
 """Jupyter's copies of notebooks."""

@@ -1,57 +1,58 @@
 """Drive a robot from waypoint to waypoint on the filter's estimate.
 
+    nomad localize "sim:thesis_room?noisy=1&seed=1" --waypoints 0,0 60,40
+    nomad localize nserver://localhost:7019/1 --map thesis_room --path 5.8 --picture run.png
+    nomad localize --from drive.log --map room.toml             a recorded drive
+
 For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
 """
+
+from __future__ import annotations
 
 import argparse
 import contextlib
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from localization.cli import arguments
-from localization.cli.log import add_log_options, localize_recorded, take_replayed_drive
-from localization.filters.belief import independent
+from localization.cli.arguments import START_STD, UNKNOWN, check_writable
+from localization.filters.base import LocalizationConfig, with_wall_errors
+from localization.filters.belief import POSE, independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
-from localization.filters.registry import DEFAULT_METHOD, FINDER
-from localization.live.assumptions import resolve_body, resolve_robot_model
+from localization.filters.odometry import with_parameters
+from localization.filters.registry import DEFAULT_METHOD, FINDER, make
+from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
+from localization.filters.sonar_ray import RaySonar, ray_sonar
+from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model
 from localization.live.background_search import filter_on_robot
+from localization.live.log import read_log, run_log, without_echo
 from localization.live.publish import Publisher, build_message
-from localization.live.run import GroundTruth, Run, RunMoment
+from localization.live.run import GroundTruth, Run
 from localization.navigation.limits import PoseSmoother
 from localization.navigation.recovery import ContactDetector, MisfitDetector, StallDetector
 from localization.navigation.roadmap import crossings
-from localization.navigation.waypoints import (
-    STOP_RADIUS_IN,
-    NavigationStep,
-    Navigator,
-    Speeds,
-    follow_waypoints,
-    start_localizer,
-)
+from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from nclient import NomadError, Robot, WorldFileError
-from nclient.common.arguments import add_flag, add_value
-from nclient.common.exit_codes import ExitCode
-from nclient.common.process import TerminatedBySignal
+from nclient.common.arguments import add_address, add_flag, add_value
+from nclient.common.process import ExitCode, TerminatedBySignal
+from nclient.recording import convert
+from worlds.io import load_world
+from worlds.rings import Ring
+from worlds.robots import N150, Body, load_bodies
 from worlds.world import World
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad localize`."""
-    parser.description = "Drive a robot to waypoints and localize it by its sonars in a map of walls."
-    parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --waypoints 0,0 60,40"
-    parser.add_argument(
-        "address",
-        nargs="?",
-        metavar="ADDRESS",
-        help="address of the robot: nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
-        "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)",
-    )
+    add_address(parser)
     arguments.add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument(
@@ -75,11 +76,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(method=None)
     add_log_options(parser)
     add_value(parser, "--radius", "IN", arguments.parse_positive,
-              "count a waypoint as reached within this distance in in", STOP_RADIUS_IN)
+              "count a waypoint as reached within this many inches", STOP_RADIUS_IN)
     add_value(parser, "--smooth", "S", arguments.parse_seconds,
               "smooth the pose used for steering over S seconds; the estimate is unaffected", 0.0)
     add_value(parser, "--time-limit", "S", arguments.parse_positive,
-              "give up after this time in s of the robot's clock", 300.0)
+              "give up after this many seconds of the robot's clock", 300.0)
     add_value(parser, "--picture", "PNG", Path, "draw the run into this file (needs the extra `plot`)")
     add_flag(parser, "--stay",
              "with --publish: after the last waypoint, or without any, stand and wait for waypoints "
@@ -104,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
     if options.picture is not None:
-        from localization.live.plot import check_picture
+        from localization.plot import check_picture
 
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
@@ -168,7 +169,7 @@ def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool
 
 def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
-        from localization.live.plot import draw_run
+        from localization.plot import draw_run
 
         draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
@@ -202,7 +203,7 @@ def _drive(
         for progress in follow_waypoints(robot, localizer, navigator, robot.sleep, PoseSmoother(options.smooth)):
             clock_s, state = progress.estimate.clock_s, progress.state
             # Record, publish, print.
-            done.add(_moment(progress, ground_truth))
+            done.add(ground_truth.moment(*progress))
             if publisher:
                 _publish(publisher, done, navigator, ground_truth.robot_id)
             if not options.json and clock_s >= printed_s + 1.0:
@@ -223,18 +224,9 @@ def _drive(
                 break
 
 
-def _moment(progress: NavigationStep, ground_truth: GroundTruth) -> RunMoment:
-    # Odometry and ground truth at the time of the estimate, for the errors of both.
-    state = progress.state
-    truth = ground_truth.at(progress.estimate.clock_s)
-    odometry = (state.x_in, state.y_in, state.steering_rad)
-    return RunMoment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
-
-
 def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:
     """Publish the last period; waypoints set on the page replace the current ones."""
-    last = done.moments[-1]
-    waypoints = publisher.publish(build_message(robot_id, last, last.turret_rad - last.odometry[2], done.waypoints))
+    waypoints = publisher.publish(build_message(robot_id, done.moments[-1], done.waypoints))
     if waypoints is not None:
         navigator.set_waypoints(waypoints)
         done.waypoints = waypoints
@@ -273,3 +265,95 @@ def _points_of(world: World, name: str) -> list[tuple[float, float]]:
         names = ", ".join(world.paths) or "none"
         raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {names}")
     return list(world.paths[name].points_in)
+
+
+REPLAY: Final = "replay:"
+ROBOT_OPTIONS: Final = ("address", "waypoints", "path", "publish", "save", "resume", "calibration", "stay")
+"""Options of `nomad localize` that need a robot."""
+
+
+SONARS: Final[Mapping[str, Callable[[Ring], RaySonar | ConeSonar]]] = MappingProxyType(
+    {"rays": ray_sonar, "cones": cone_sonar, BUILDING_SETUP: building_sonar}
+)
+"""The sonar models by their names in --sonars."""
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Add --from and --estimates."""
+    parser.add_argument("--from", dest="log", type=Path, metavar="LOG",
+                        help="localize a recorded drive instead of a robot: a recording, bag, MCAP or CARMEN log as "
+                             "nomad convert reads them, or CSV with columns time_s, x_in, y_in, heading_deg, "
+                             "sonar_0_in ... (page Real data of the manual)")  # fmt: skip
+    parser.add_argument("--estimates", type=Path, metavar="FILE.csv",
+                        help="with --from: write the estimate at each row, inches and degrees")  # fmt: skip
+
+
+def take_replayed_drive(options: argparse.Namespace) -> None:
+    """Make `--from FILE` of the address `replay:FILE`, if the file has a drive without the bytes of a recording.
+
+    Such a file has readings and no instants of firing, which a filter on a live robot knows.
+    """
+    if not (options.address or "").startswith(REPLAY):
+        return
+    file = Path(options.address.removeprefix(REPLAY).partition("?")[0])
+    if convert.may_be_drive(file, or_csv=True) and not convert.read_drive(file).traffic:
+        options.address, options.log = None, file
+
+
+def localize_recorded(options: argparse.Namespace) -> int:
+    """Run `nomad localize --from`; return the exit code.
+
+    Raises
+    ------
+    LogFileError, WorldFileError, OutputFileError
+    """
+    # 1. Everything that can fail.
+    for name in ROBOT_OPTIONS:
+        if getattr(options, name):
+            option = name.upper() if name == "address" else f"--{name}"
+            options.refuse(f"--from localizes a recorded drive: leave {option} out")
+    if not options.map:
+        options.refuse("a map is required: --map WORLD, a shipped world or a TOML file")
+    if options.start == UNKNOWN:
+        options.refuse(f"--start {UNKNOWN} needs a robot: give the pose at the first row of the log")
+    world, body = load_world(options.map), _body(options)
+    check_writable(options.estimates, options.picture)
+    if options.picture:
+        from localization.plot import check_picture
+
+        check_picture(options.picture)
+    rows = without_echo(read_log(options.log), body.ring)
+    # 2. Initial belief and models.
+    belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)
+    belief = with_parameters(belief, options.scale_std)
+    sonar = with_wall_errors(SONARS[options.sonars or BUILDING_SETUP](body.ring), world)
+    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar)
+    # 3. Run, results.
+    done = run_log(rows, body.ring.round_s, make(options.method, config, belief))
+    if options.estimates:
+        options.estimates.write_text(_table(done), encoding="utf-8")
+    if options.picture:
+        from localization.plot import draw_run
+
+        draw_run(options.picture, world, done, body)
+    print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
+    return ExitCode.DONE
+
+
+def _body(options: argparse.Namespace) -> Body:
+    """Return the robot of the log: --body, or the last model of --model-file, or an N150."""
+    name = options.body
+    if not name:
+        name = [*load_bodies(options.model_file)][-1] if options.model_file else N150.name
+    return resolve_body(name, options.model_file, None)
+
+
+def _table(done: Run) -> str:
+    """Return the estimates as CSV."""
+    lines = ["time_s,x_in,y_in,heading_deg,x_std_in,y_std_in,heading_std_deg,health"]
+    for moment in done.moments:
+        estimate = moment.estimate
+        (x, y, heading), std = estimate.pose.tolist(), estimate.belief.std[:POSE].tolist()
+        numbers = (estimate.clock_s, x, y, math.degrees(heading), std[0], std[1], math.degrees(std[2]))
+        lines.append(",".join([*(f"{number:.4f}" for number in numbers), estimate.health.status.value]))
+    return "\n".join(lines) + "\n"

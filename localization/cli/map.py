@@ -1,4 +1,12 @@
-"""Check a map, simplify it, show where localization is inaccurate, learn, edit or exchange one."""
+"""Check a map, simplify it, show where localization is inaccurate, learn, edit or exchange one.
+
+    nomad map check room.toml                        gaps, doubled walls, places that look alike
+    nomad map show several_walls --out map.png       where localization is inaccurate
+    nomad map learn nserver://localhost:7019/1 --out room.toml
+    nomad map import lab.yaml --out lab.toml         a map of ROS; also CARMEN, SVG, DXF, bitmaps
+
+`nomad map TOOL --help` shows the options of a tool.
+"""
 
 import argparse
 import json
@@ -14,13 +22,12 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from localization.live.plot import check_picture, save
-from localization.live.progress import show_seconds
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
+from localization.plot import check_picture, save
 from nclient.common.arguments import add_flag, add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode, show_seconds
 from nclient.errors import MapFileError, WorldFileError
 from worlds.drawing import ESTIMATE, GOAL, blank, draw_walls
 from worlds.io import format_world, load_world, parse_world
@@ -97,21 +104,20 @@ PROBLEMS_FOUND = ExitCode.NOT_REACHED
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `nomad map`."""
-    parser.description = (
-        "Check a map, simplify it, show where localization is inaccurate, learn one by driving, or exchange maps with "
-        "other tools."
-    )
-    parser.epilog = "example: nomad map show several_walls --out out/map.png"
     tools = parser.add_subparsers(
         dest="tool", required=True, metavar="check|simplify|show|learn|update|edit|import|export"
     )
-    check = tools.add_parser(
+
+    def add_tool(name: str, about: str) -> argparse.ArgumentParser:
+        return tools.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+
+    check = add_tool(
         "check",
-        help="find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
+        "find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
         "look alike",
     )
     add_value(check, "--gap", "IN", arguments.parse_positive,
-              "report ends of walls within this distance in in of another wall as gaps", ValidationLimits().gap_in)
+              "report ends of walls within this many inches of another wall as gaps", ValidationLimits().gap_in)
     check.add_argument(
         "--at",
         type=arguments.parse_point,
@@ -120,25 +126,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y",
         help="name the places that look like these positions (default: like the starts and others over the map)",
     )
-    simplify = tools.add_parser("simplify", help="write the map with fewer walls, within a tolerance")
-    add_value(simplify, "--tolerance", "IN", arguments.parse_positive, "move walls by at most this distance in in", 0.5)
+    simplify = add_tool("simplify", "write the map with fewer walls, within a tolerance")
+    add_value(simplify, "--tolerance", "IN", arguments.parse_positive, "move walls by at most this many inches", 0.5)
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
-    show = tools.add_parser("show", help="show the accuracy of localization: the Cramer-Rao bound over free space")
+    show = add_tool("show", "show the accuracy of localization: the Cramer-Rao bound over free space")
     add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
     arguments.add_sonar_model(show)
     add_value(show, "--cell", "IN", arguments.parse_positive,
-              f"grid step in in (default: {CELL_IN:g}, or larger for about {MAX_PLACES} positions at most)")
-    add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in in/s", 5.0)
+              f"grid step in inches (default: {CELL_IN:g}, or larger for about {MAX_PLACES} positions at most)")
+    add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in inches per second", 5.0)
     arguments.add_odometry_noise(show)
     add_value(show, "--weak", "IN", arguments.parse_positive,
-              "call positions with a bound above this distance in in weak", WEAK_IN)
+              "call positions with a bound above this many inches weak", WEAK_IN)
     map_update.add_arguments(
-        tools.add_parser("update", help="compare a map with a drive: moved, missing and new walls, an error of scale")
+        add_tool("update", "compare a map with a drive: moved, missing and new walls, an error of scale")
     )
-    map_learn.add_arguments(tools.add_parser("learn", help="make a map of the room from a recorded drive"))
-    map_edit.add_arguments(tools.add_parser("edit", help="adjust a learned map to lengths measured with a tape"))
-    _add_import(tools.add_parser("import", help="make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
-    _add_export(tools.add_parser("export", help="write a world as map of ROS: map.yaml and PGM"))
+    map_learn.add_arguments(add_tool("learn", "make a map of the room by driving, or from a recorded drive"))
+    map_edit.add_arguments(add_tool("edit", "adjust a learned map to lengths measured with a tape"))
+    _add_import(add_tool("import", "make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
+    _add_export(add_tool("export", "write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
@@ -150,15 +156,15 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help=".yaml (ROS), .map (CARMEN), .svg, .dxf or a bitmap")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     add_value(parser, "--tolerance", "IN", arguments.parse_positive,
-              "straighten walls within this distance in in (default: 0.9 cells; 0.25 in of a drawing's curves)")
+              "straighten walls within this many inches (default: 0.9 cells; 0.25 in of a drawing's curves)")
     scale = parser.add_mutually_exclusive_group()
-    add_value(scale, "--cell", "IN", arguments.parse_positive, "side of a bitmap's pixel in in")
+    add_value(scale, "--cell", "IN", arguments.parse_positive, "side of a bitmap's pixel in inches")
     add_value(scale, "--unit", "IN", arguments.parse_positive,
               "inches of a drawing's unit (default: as the file states)")
     add_value(parser, "--min-cells", "N", int, "ignore smaller spots of a grid", 4)
     add_flag(parser, "--close", "put walls where known space ends without one")
     parser.add_argument(
-        "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; may be repeated"
+        "--layer", action="append", default=[], metavar="NAME", help="read this layer of a DXF; repeatable"
     )
     add_value(parser, "--picture", "PNG", Path, "draw the walls into this file (extra `plot`)")
     add_flag(parser, "--json", "print only the result, as JSON, on stdout")

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the name of the wall nearest to a point, within 6 in; an empty one removes it; repeatable",
     )  # fmt: skip
     add_value(parser, "--tape-std", "IN", arguments.parse_positive,
-              "standard deviation of the measured lengths in in", TAPE_STD_IN)
+              "standard deviation of the measured lengths in inches", TAPE_STD_IN)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
     add_flag(parser, "--json", "print only the result, as JSON, on stdout")
 

@@ -22,8 +22,6 @@ from localization.cli import arguments
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
-from localization.live.plot import check_picture
-from localization.live.progress import show_seconds
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
@@ -35,11 +33,11 @@ from localization.mapping.output import LearnedMap, describe, draw_learned, summ
 from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.limits import MODEL_LIMITS
+from localization.plot import check_picture
 from nclient import Robot
 from nclient.common.arguments import add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
-from nclient.common.process import TerminatedBySignal
+from nclient.common.process import ExitCode, TerminatedBySignal, show_seconds
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
 from nclient.url import parse_address, split_address
@@ -86,7 +84,7 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--picture", "PNG", Path, "draw the result into this file (needs the extra `plot`)")
     arguments.add_odometry_noise(parser)
     add_value(parser, "--roughness", "IN", arguments.parse_positive,
-              "standard deviation of walls from straight lines in in: 0.8 for a real building", ROUGHNESS_IN)
+              "standard deviation of walls from straight lines in inches: 0.8 for a real building", ROUGHNESS_IN)
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="sonar model: exact rays, or the cones of a real ring (default: for sim: addresses that "
                              "of the setup, else cones)")  # fmt: skip
@@ -107,10 +105,10 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
              "readings are compared with the last ones there",
     )
     add_value(live, "--time-limit", "S", arguments.parse_positive,
-              "end the drive after this time in s of the robot's clock", 300.0)
+              "end the drive after this many seconds of the robot's clock", 300.0)
     add_value(live, "--geofence", "X0,Y0,X1,Y1", parse_geofence,
               "keep the robot's axis within this rectangle, inches in the frame of --waypoints")
-    add_value(live, "--speed", "IN_S", arguments.parse_positive, "top speed in in/s", SPEED_IN_S)
+    add_value(live, "--speed", "IN_S", arguments.parse_positive, "top speed in inches per second", SPEED_IN_S)
     arguments.add_publish(live, "the map as it grows, uncertain walls dashed,")
 
 

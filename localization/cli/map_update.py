@@ -12,15 +12,14 @@ import numpy as np
 from localization.cli import arguments, map_learn
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
-from localization.live.plot import check_picture
-from localization.live.progress import show_seconds
 from localization.mapping.learn import MapLearner
 from localization.mapping.measurements import read_drive
 from localization.mapping.output import MapRefused
 from localization.mapping.survey import RobotMoved
 from localization.mapping.update import MapDifference, compare, start_pose
-from nclient.common.exit_codes import ExitCode
+from localization.plot import check_picture
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode, show_seconds
 from nclient.errors import OutputFileError
 from worlds.io import format_world, load_world, parse_world
 from worlds.world import World
@@ -85,7 +84,7 @@ def _write(path: Path, world: World, comment: str) -> None:
 
 def _draw(path: Path, world: World, found: MapDifference) -> None:
     """Draw the map, what is no longer there, and what has been found in its place."""
-    from localization.live.plot import save
+    from localization.plot import save
     from worlds.drawing import ESTIMATE, GOAL, ODOMETRY, blank, draw_walls
 
     picture = blank(9.0, 8.0)

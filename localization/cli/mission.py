@@ -28,8 +28,8 @@ from localization.missions.settings import Point, Settings
 from localization.missions.steps import load_mission
 from nclient import NomadError, Robot
 from nclient.common.arguments import add_address, add_flag, add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import write_errors_as
+from nclient.common.process import ExitCode
 from nclient.errors import MissionFileError
 from worlds.io import load_world
 from worlds.world import World

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from localization.course.submission import read_cells, statements
+from localization.course.grading import read_cells, statements
 from localization.course.tasks import Verdict, all_tasks, verdict
 
 MAX_TEXT: Final = 2000

@@ -18,8 +18,8 @@ from localization.experiments.execution import drive, drive_on_cluster, progress
 from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
 from localization.experiments.output import NO_PICTURES, add_shared, table
 from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import suggest
+from nclient.common.process import ExitCode
 from nclient.errors import NomadError
 from worlds.drawing import require_matplotlib
 

@@ -25,7 +25,7 @@ from localization.experiments.live_trial import Cell, Trial, TrialResult
 from localization.experiments.output import add_choice, add_shared, executor_for, positive, text_table
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
-from localization.live.plot import save
+from localization.plot import save
 from nclient.common.arguments import Parser, add_value
 from worlds.drawing import blank, require_matplotlib
 

@@ -27,12 +27,12 @@ from localization.filters.range_table import connected, floor_grid
 from localization.filters.registry import finder
 from localization.live.background_search import cached_search
 from localization.live.localizer import Estimate, Localizer
-from localization.live.sensor_input import restart_ring
+from localization.live.sensor_input import SensorInput, restart_ring
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.control_law import bearing_error
 from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.path import sample_waypoints
-from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
+from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient.robot import Robot
@@ -69,7 +69,7 @@ class RandomExplorer:
             return VelocityCommand(0.0, float(np.copysign(TURN_RAD_S, error)))
         return command
 
-    def recover(self, state: SonarState, turn_rad: float | None = None) -> VelocityCommand:
+    def recover(self, state: SensorInput, turn_rad: float | None = None) -> VelocityCommand:
         """Return the velocities while the estimate is lost."""
         # The path was planned from a pose that was wrong: plan again after recovery.
         self._navigator = None

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from localization import plot
 from localization.experiments import execution
 from localization.experiments.execution import code_hash
 from localization.experiments.figure_trial import Figure, FigureSetup, Summary, Track, typical
 from localization.filters.belief import difference
-from localization.live import plot
 from nclient.common.arguments import add_flag, add_value, whole_number
 from worlds import drawing
 from worlds.robots import N150

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import cos
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -70,7 +70,7 @@ PRESSED_NOISE: Final = 5.0
 """Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
 noise, and all readings from there repeat their errors."""
 
-NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0)
+NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
@@ -159,7 +159,6 @@ class KalmanFilter:
         self._predict = prediction
         self._monitor = IntegrityMonitor(limits)
         self._correlated = CorrelatedReadings()
-        self._angles_rad = measurement.angles_rad
         self._direct = measurement.direct if prediction is predict_state else None
         self._odometric = measurement.odometric
         self._informative: Sequence[int] = INFORMATIVE
@@ -201,7 +200,7 @@ class KalmanFilter:
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the model leaves out.
 
-        That is a lag, innovations that are larger than they should be, and the scale of the map.
+        That is a lag, innovations that are larger than they should be, the scale of the map, and a slip of the wheels.
 
         Readings that are all too long by a fraction s are of colder air, or of a map that is too small by s: then the
         robot is s times its distance from the middle off. No reading tells one from the other.
@@ -217,6 +216,9 @@ class KalmanFilter:
         if self._constants:
             scale, (middle_x, middle_y) = self._x[-1], self._middle_in
             add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
+        _, slipped_in2 = self._monitor.slip.slipped
+        if slipped_in2:
+            add_outer(P, slipped_in2, (*unit_vector(x[HEADING]), 0.0))
         return Belief(np.array(x), np.array(P))
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
@@ -226,15 +228,16 @@ class KalmanFilter:
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
         if result.refusal in self._informative:
-            self._monitor.add(result)
-            self._add_slip(result, sonar, turret_offset_rad)
+            self._add((result.refusal, *result[1:]))
             self._check_slip()
         return result
 
-    def _add_slip(self, outcome: Outcome, sonar: int, turret_offset_rad: float) -> None:
-        """Let the monitor know how far a reading displaces the robot along its heading."""
-        if self.detects_slips and self._angles_rad:
-            self._monitor.slip.add(outcome[1], outcome[2], -cos(turret_offset_rad + self._angles_rad[sonar]))
+    def _add(self, outcome: Outcome) -> None:
+        """Let the monitor know of a reading, and of how far it displaces the robot along its heading."""
+        self._monitor.add(outcome)
+        if self.detects_slips and self._monitor.limits.slip_nats < inf:
+            _, innovation_in, nis, _, _, slope = outcome
+            self._monitor.slip.add(innovation_in, nis, slope)
 
     def _check_slip(self) -> None:
         """Widen the covariance by a slip of the wheels, along the heading, if the last readings agree on one."""
@@ -264,12 +267,9 @@ class KalmanFilter:
         outcomes = [NO_RANGE] * len(echoes)
         for k, outcome in zip(ranges, results, strict=True):
             outcomes[k] = outcome
-        turret_offset_rad = poses[-1][4] - poses[-1][3]
-        monitor = self._monitor
-        for outcome, (_, sonar, _) in zip(outcomes, echoes, strict=True):
+        for outcome in outcomes:
             if outcome[0] in INFORMATIVE:
-                monitor.add(outcome)
-                self._add_slip(outcome, sonar, turret_offset_rad)
+                self._add(outcome)
         self._check_slip()
         return outcomes
 

@@ -5,8 +5,8 @@
     LOST            the evidence has fallen by `lost_nats` from its maximum: a CUSUM test
     suspicious      it has fallen by `suspicious_nats`, or few readings are explained: worth a search for another pose
     DEGRADED        the matched fraction or the NIS of the last readings, or the standard deviation, is beyond its limit
-    slip            the last readings agree on another place along the heading (`SlipTest`): DEGRADED at once, and a
-                    filter widens its covariance (`IntegrityMonitor.take_slip`)
+    slip            the last readings agree on another place along the heading (`SlipTest`): its probability widens what
+                    is reported; above 1/2 DEGRADED; and a filter widens its covariance (`IntegrityMonitor.take_slip`)
     NIS ratio       mean NIS of the window, if that is significantly above 1: what is reported is widened by it
 
 The CUSUM test decides between two hypotheses, here or anywhere. Of independent readings a false alarm would come once
@@ -21,7 +21,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import hypot, inf, log, sqrt
+from math import expm1, hypot, inf, log, sqrt
 from typing import Final, NamedTuple
 
 from localization.filters.belief import Floats, chi_square_quantile
@@ -67,8 +67,6 @@ class HealthLimits:
         Largest standard deviation of the position, along its worst direction.
     slip_nats
         Evidence of a slip (`SlipTest`) that widens the covariance.
-    suspect_nats
-        Evidence of a slip from which the estimate is DEGRADED.
     after_slip
         Number of readings after a slip for which the estimate is DEGRADED.
     """
@@ -83,7 +81,6 @@ class HealthLimits:
     max_nis_ratio: float = 1.0
     max_std_in: float = 3.0
     slip_nats: float = inf
-    suspect_nats: float = inf
     after_slip: int = 12
 
 
@@ -100,10 +97,17 @@ MAX_NIS: Final = 12.0
 """A reading is an outlier rather than so many standard deviations, squared, off: 2 ln of both densities' ratio."""
 MAX_GAIN_NATS: Final = 3.0
 """One reading adds so much at most: no displacement is of one reading alone."""
-MAX_SIDE_NATS: Final = 4.0
-"""Sonars that look forwards, or backwards, add so much at most: something unmapped is on one side only."""
+MAX_SIDE_NATS: Final = 8.0
+"""Readings that a displacement forwards shortens, or lengthens, add so much at most: old evidence is soon refuted."""
+MAX_NATS_OF_ONE_SIDE: Final = 4.0
+"""And so much at most to the evidence that moves the belief: something unmapped is on one side only."""
 ALLOWANCE_NATS: Final = 0.1
 """Each reading takes away so much: innovations are correlated."""
+ROUNDS_PER_SLIP: Final = 600.0
+"""Wheels that roll freely slip once in so many rounds of the ring, of a second each."""
+READINGS_PER_ROUND: Final = 16
+MAX_SLIP_PROBABILITY: Final = 0.5
+"""Beyond this the estimate is DEGRADED: the wheels have more probably slipped than not."""
 
 
 def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> float:
@@ -120,15 +124,19 @@ class SlipTest:
     """Test whether recent readings agree that the robot is displaced along its heading, and by how much.
 
     A generalized likelihood ratio test for a step. The range of a reading changes by h for each inch that the robot is
-    displaced forwards, so its innovation, of variance S, has the mean 0 without a slip and h d after one by d. The log
-    likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of DISPLACEMENTS_IN from the instant
-    at which the sum was last 0: the most likely instant of the slip (CUSUM). The largest sum decides. Bad readings
-    agree on no displacement.
+    displaced forwards (`update.forward_slope`), so its innovation, of variance S, has the mean 0 without a slip and h d
+    after one by d. The log likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of
+    DISPLACEMENTS_IN from the instant at which the sum was last 0: the most likely instant of the slip (CUSUM). The
+    largest sum decides. Bad readings agree on no displacement.
+
+    The mean of the ratios over the displacements, times the odds of a slip in a round of the ring, are its odds after
+    the readings. Slips are a Poisson process: their rate has a gamma distribution of which one slip in ROUNDS_PER_SLIP
+    is the mean before the first reading, and (1 + slips) / (ROUNDS_PER_SLIP + rounds) later.
 
     Attributes
     ----------
     evidence_nats
-        Log likelihood ratio of the most likely displacement to none.
+        Log likelihood ratio of the most likely displacement to none, with MAX_NATS_OF_ONE_SIDE.
     displacement_in
         This displacement, inches forwards.
 
@@ -138,16 +146,36 @@ class SlipTest:
     """
 
     def __init__(self) -> None:
+        self._slips = self._readings = 0
+        self.reset()
+
+    def count(self) -> None:
+        """Count a slip, and begin anew."""
+        self._slips += 1
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Begin anew; the rate of slips stays."""
         self.evidence_nats = self.displacement_in = 0.0
-        # Sums of the sonars that look forwards, and backwards; None: all are 0.
+        # Sums of the readings that a displacement forwards shortens, and lengthens; None: all are 0.
         self._sums: list[list[float] | None] = [None, None]
+
+    @property
+    def slipped(self) -> tuple[float, float]:
+        """Probability of a slip, and the mean square of the displacement by it, in^2: 0 without a slip."""
+        sums = [one for one in self._sums if one]
+        if not sums:
+            return 0.0, 0.0
+        # A displacement without evidence is none.
+        before = (1 + self._slips) / (ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND)
+        odds = [before * expm1(sum(sides)) / len(DISPLACEMENTS_IN) for sides in zip(*sums, strict=True)]
+        total = sum(odds)
+        squares = sum(odd * displacement_in**2 for odd, displacement_in in zip(odds, DISPLACEMENTS_IN, strict=True))
+        return total / (1.0 + total), squares / (1.0 + total)
 
     def add(self, innovation_in: float, nis: float, slope: float) -> None:
         """Take note of a reading, whose range changes by `slope` for each inch that the robot is displaced forwards."""
+        self._readings += 1
         side = 1 if slope > 0.0 else 0
         sums = self._sums[side]
         # 1. An innovation of less than half the least shift supports no displacement, and there is no sum to lower.
@@ -162,11 +190,12 @@ class SlipTest:
             gain = displacement_evidence(innovation_in, nis, slope * displacement_in)
             sums[j] = min(max(0.0, sums[j] + min(gain, MAX_GAIN_NATS) - ALLOWANCE_NATS), MAX_SIDE_NATS)
         self._sums[side] = sums if any(sums) else None
-        # 3. The most likely displacement by both sides together.
+        # 3. The most likely displacement by both sides together, and its evidence.
         both = [one for one in self._sums if one]
-        totals = [sum(column) for column in zip(*both, strict=True)] or [0.0]
-        self.evidence_nats = max(totals)
-        self.displacement_in = DISPLACEMENTS_IN[totals.index(self.evidence_nats)] if self.evidence_nats else 0.0
+        totals = [sum(sides) for sides in zip(*both, strict=True)] or [0.0]
+        best = totals.index(max(totals))
+        self.evidence_nats = sum([min(one[best], MAX_NATS_OF_ONE_SIDE) for one in both])
+        self.displacement_in = DISPLACEMENTS_IN[best] if self.evidence_nats else 0.0
 
 
 class IntegrityMonitor:
@@ -216,7 +245,7 @@ class IntegrityMonitor:
 
     def add(self, result: Outcome) -> None:
         """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
-        _, _, nis, outlier_probability, _ = result
+        _, _, nis, outlier_probability, *_ = result
         self._matched.append(1.0 - outlier_probability)
         self._since_slip += 1
         self._ratio = None
@@ -228,7 +257,7 @@ class IntegrityMonitor:
         if self.slip.evidence_nats < self.limits.slip_nats:
             return None
         displacement = self.slip.displacement_in
-        self.slip.reset()
+        self.slip.count()
         self._since_slip = 0
         return displacement
 
@@ -269,7 +298,7 @@ class IntegrityMonitor:
         if matched < limits.min_matched:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
             return FilterHealth(HealthStatus.DEGRADED, reason)
-        if self._since_slip < limits.after_slip or self.slip.evidence_nats >= limits.suspect_nats:
+        if self._since_slip < limits.after_slip or self.slip.slipped[0] > MAX_SLIP_PROBABILITY:
             reason = "the wheels may have slipped: readings agree on another place along the heading"
             return FilterHealth(HealthStatus.DEGRADED, reason)
         ratio = self.nis_ratio

@@ -157,16 +157,16 @@ class OwnFilterAdapter:
     def _update(self, instant_s: float, sonar: int, turret_offset_rad: float, reading_in: float) -> Outcome:
         # 1. Limits are no ranges.
         if not self._lowest_in < reading_in < self._highest_in:
-            return LIMIT, 0.0, 0.0, 0.0, 1.0
+            return LIMIT, 0.0, 0.0, 0.0, 1.0, 0.0
         # 2. The filter's own update.
         direction_rad, ring_in, left_in = mount_at(self._mounts, sonar, turret_offset_rad)
         result = self.own.update(TimedEcho(instant_s, sonar, reading_in, direction_rad, ring_in, left_in))
         self._belief = self._read_belief()
         # 3. Its innovation, for health and plots.
-        outcome: Outcome = (GATE, 0.0, 0.0, 1.0, 1.0)
+        outcome: Outcome = (GATE, 0.0, 0.0, 1.0, 1.0, 0.0)
         if result is not None:
             innovation, S = self._innovation(result)
-            outcome = (NONE, innovation, innovation * innovation / S, 0.0, 1.0)
+            outcome = (NONE, innovation, innovation * innovation / S, 0.0, 1.0, 0.0)
         self._monitor.add(outcome)
         return outcome
 

@@ -120,7 +120,7 @@ class EchoReplay:
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
         """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
         x, P = unpack(belief)
-        nats = sum(log(outcome[-1]) for outcome in self._outcomes(x, P, before, records))
+        nats = sum(log(outcome[4]) for outcome in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
     def _outcomes(
@@ -162,8 +162,7 @@ class EchoReplay:
                 x, P, record.sonar, record.turret_offset_rad, record.reading_in, count
             )
             correlated.record(record.sonar, record.turret_offset_rad)
-            outcomes.append((outcome.refusal, outcome.innovation_in, outcome.nis, outcome.outlier_probability,
-                             outcome.likelihood))  # fmt: skip
+            outcomes.append(outcome)
             before = record.encoders
         return outcomes
 

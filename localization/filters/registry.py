@@ -65,7 +65,9 @@ def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
     parameters = MonteCarlo()
     states = draw_particles(belief, parameters.particles, rng)
-    return ParticleFilter(states, likelihood_of(config), config.odometry, rng, parameters)
+    return ParticleFilter(
+        states, likelihood_of(config), config.odometry, rng, parameters, config.range_stds or (), _middle(config)
+    )
 
 
 def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
@@ -105,15 +107,13 @@ class _MethodChoices(tuple[str, ...]):
 
 METHOD_CHOICES: Final = _MethodChoices(METHODS)
 """What `--method` accepts, for argparse."""
-SLIP_NATS, SUSPECT_NATS = 6.0, 3.5
-"""Evidence of a slip of the wheels: of one that widens the covariance, and from which the estimate is DEGRADED."""
+SLIP_NATS: Final = 6.0
+"""Evidence of a slip of the wheels that widens the covariance."""
 MAX_NIS_RATIO: Final = 2.5
 """The covariance is widened for a mean NIS up to this."""
 MIN_MATCHED: Final = 0.37
 """Exact rays that are taken for cones are explained to a third by accident."""
-_LIMITS: Final = HealthLimits(
-    min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS, suspect_nats=SUSPECT_NATS
-)
+_LIMITS: Final = HealthLimits(min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS)
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:

@@ -339,7 +339,7 @@ def update_by_cone(
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
     if refusal != NONE:
-        return refusal, 0.0, 0.0, 1.0, likelihood
+        return refusal, 0.0, 0.0, 1.0, likelihood, 0.0
     return update_by_association(x, P, reading_in, hypotheses(x, candidates, model), linear, count)
 
 

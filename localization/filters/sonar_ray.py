@@ -53,6 +53,7 @@ from localization.filters.update import (
     Refusal,
     State,
     expected_reading,
+    forward_slope,
     inflated_variance,
     kalman_gain,
     mount_at,
@@ -464,26 +465,27 @@ def update_by_ray(
     # 1. A reading at a limit is no range.
     noise = model.noise
     if not noise.lowest_in < reading_in < noise.highest_in:
-        return LIMIT, 0.0, 0.0, 1.0, 1.0
+        return LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0
     # 2. The expected reading, and whether the beam can be used.
     beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, model.walls, model.gate, mount.left_in)
     if beam.refusal != NONE:
-        return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in
+        return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in, 0.0
     # 3. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
     R = range_variance(noise, beam.range_in)
     expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
     innovation = reading_in - expected_in
     K, S = kalman_gain(P, H, R)
     nis = innovation * innovation / S
+    slope = forward_slope(H, *unit_vector(x[HEADING]))
     if not nis <= model.threshold:
-        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in
+        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
         K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
     shift(x, K, innovation)
     add_outer(P, -S, K)
-    return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in
+    return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in, slope
 
 
 class RayModel:
@@ -502,7 +504,7 @@ class RayModel:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
         mount = mount_at(self.mounts, sonar, turret_offset_rad)
         # A trial update of a copy, so that all rules refuse the same readings.
-        refusal, *_, likelihood = update_by_ray(x.copy(), [row.copy() for row in P], mount, reading_in, self, 1)
+        refusal, *_, likelihood, _ = update_by_ray(x.copy(), [row.copy() for row in P], mount, reading_in, self, 1)
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)

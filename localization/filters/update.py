@@ -26,7 +26,18 @@ from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Belief, Floats, Number, add_outer, pack, unpack, wrap_angle
+from localization.filters.belief import (
+    HEADING,
+    POSE,
+    Belief,
+    Floats,
+    Number,
+    add_outer,
+    pack,
+    unit_vector,
+    unpack,
+    wrap_angle,
+)
 from worlds.rings import MAX_SONARS, SonarMount
 
 State = list[float]
@@ -75,7 +86,7 @@ INFORMATIVE_IN_CLUTTER: Final = (NONE, GATE)
 """The same among things that the map does not have: an echo where the map has nothing is no sign of a wrong belief."""
 
 
-Outcome = tuple[int, float, float, float, float]
+Outcome = tuple[int, float, float, float, float, float]
 """An `UpdateResult` as formulas return it: the refusal is a code."""
 
 
@@ -95,6 +106,8 @@ class UpdateResult(NamedTuple):
     likelihood
         Of the reading under the belief before it: a density per inch for a range and a probability for a limit, the
         same kind for the same reading, whatever the belief.
+    slope
+        Derivative of the expected range by a displacement of the robot along its heading.
     """
 
     refusal: Refusal
@@ -102,6 +115,7 @@ class UpdateResult(NamedTuple):
     nis: float
     outlier_probability: float
     likelihood: float = 1.0
+    slope: float = 0.0
 
 
 def gate_code(outlier_probability: float) -> int:
@@ -222,6 +236,11 @@ def mount_at(mounts: Sequence[Sequence[float]], sonar: int, turret_offset_rad: f
 # 2. Gain and innovation of one hypothesis.
 
 
+def forward_slope(H: Sequence[Any], c: Any, s: Any) -> Any:
+    """Return the derivative of an expected reading by a displacement along the heading of this unit vector."""
+    return H[0] * c + H[1] * s
+
+
 def expected_reading(x: Sequence[Any], range_in: Any, H: Sequence[Any], range_parameters: int) -> tuple[Any, list[Any]]:
     """Return the reading that state x expects of a range, and its derivative by pose and range parameters.
 
@@ -260,6 +279,9 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     R
         Variance of the reading.
     """
+    if len(P) == POSE:
+        K, S = pose_gain(P, H, R)
+        return [K[0], K[1], K[2]], S
     a, b, c = H[0], H[1], H[2]
     if len(H) == POSE + RANGE_PARAMETERS:
         # The usual case of a live robot in one pass.
@@ -275,6 +297,19 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     for j in range(POSE, len(H)):
         S = S + PHt[between + j] * H[j]
     return [value / S for value in PHt], S
+
+
+def pose_gain(
+    P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number
+) -> tuple[tuple[Number, Number, Number], Number]:
+    """Return `kalman_gain` for a state that is a pose, without lists: they cost compiled code more than the numbers."""
+    a, b, c = H[0], H[1], H[2]
+    of_x, of_y, of_heading = P[0], P[1], P[2]
+    x = of_x[0] * a + of_x[1] * b + of_x[2] * c
+    y = of_y[0] * a + of_y[1] * b + of_y[2] * c
+    heading = of_heading[0] * a + of_heading[1] * b + of_heading[2] * c
+    S = x * a + y * b + heading * c + R
+    return (x / S, y / S, heading / S), S
 
 
 def shift(x: State, K: Sequence[float], innovation: float) -> None:
@@ -293,6 +328,11 @@ def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R
     """
     # 1. K = P H^T / S.
     K, S = kalman_gain(P, H, R)
+    return apply_gain(x, P, K, S, innovation)
+
+
+def apply_gain(x: list[Number], P: list[list[Number]], K: Sequence[Number], S: Number, innovation: Number) -> Number:
+    """Correct x and P by a gain, in place; return the NIS: steps 2 and 3 of `kalman_update`."""
     # 2. x+ = x + K innovation.
     for i, gain in enumerate(K):
         x[i] = x[i] + gain * innovation
@@ -405,12 +445,15 @@ class PdaResult(NamedTuple):
         Density of the reading under the belief before it, per inch.
     innovation_in, nis
         Of the most probable hypothesis; NaN without any.
+    best
+        Number of this hypothesis; -1 without any.
     """
 
     beta: list[float]
     likelihood: float
     innovation_in: float
     nis: float
+    best: int
 
 
 def pda_update(
@@ -470,7 +513,7 @@ def pda_update(
             add_outer(P, beta[j], spread)
     if beta[-1]:
         add_outer(P, beta[-1], dx)
-    return PdaResult(beta, likelihood, innovation_in, nis)
+    return PdaResult(beta, likelihood, innovation_in, nis, best)
 
 
 # Repeated readings from one pose.
@@ -554,8 +597,6 @@ class MeasurementUpdate:
         self._model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
-        self.angles_rad = tuple(mount.direction_rad for mount in model.mounts) if isinstance(model, DirectModel) else ()
-        """Direction of each sonar from that of the turret, if the model has sonars."""
         self.odometric = model if isinstance(model, OdometricModel) else None
 
     def apply(
@@ -594,13 +635,14 @@ def update_by_association(
     x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int
 ) -> Outcome:
     """Correct x and P by a reading and its hypotheses, in place."""
-    beta, likelihood, innovation_in, nis = pda_update(x, P, reading_in, association, rule, count)
+    c, s = unit_vector(x[HEADING])
+    beta, likelihood, innovation_in, nis, best = pda_update(x, P, reading_in, association, rule, count)
     outlier, share = beta[-1], association.gate_outliers
     likelihood = (1.0 - share) * likelihood + share / association.range_span_in
-    return gate_code(outlier), innovation_in, nis, outlier, likelihood
+    slope = forward_slope(association.H[best], c, s) if best >= 0 else 0.0
+    return gate_code(outlier), innovation_in, nis, outlier, likelihood, slope
 
 
 def result_of(outcome: Outcome) -> UpdateResult:
     """Return an outcome as a result."""
-    code, innovation_in, nis, outlier, likelihood = outcome
-    return UpdateResult(REFUSALS[code], innovation_in, nis, outlier, likelihood)
+    return UpdateResult(REFUSALS[outcome[0]], *outcome[1:])

@@ -152,11 +152,11 @@ def load_or_build(config: LocalizationConfig, folder: Path, progress: Callable[[
     return table
 
 
-def cached_search(config: LocalizationConfig, folder: Path | None = None) -> TableSearch:
+def cached_search(config: LocalizationConfig) -> TableSearch:
     """Return a search in this process whose table comes from the cache on disk."""
 
     def table() -> RangeTable:
-        return load_or_build(config, folder or cache_folder(), lambda _: None)
+        return load_or_build(config, cache_folder(), lambda _: None)
 
     measurement = update_for(config.walls, config.body, config.sonar, config.gate)
     return TableSearch(table, measurement, config.odometry)

@@ -28,7 +28,7 @@ from nclient.common.hints import suggest
 from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import M_PER_IN
 from nclient.recording import convert
-from nclient.recording.time_series import SONAR, TimeSeries, Units
+from nclient.recording.convert import SONAR, TimeSeries, Units
 from worlds.rings import Ring
 
 _IN_PER: Final = {"in": 1.0, "mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "m": 1000.0 / 25.4}
@@ -190,7 +190,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
         before = now
         found = tuple(
             Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
-            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, _) in zip(new, outcomes, strict=True)
+            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
         )
         places = localizer.places if isinstance(localizer, Searching) else ()
         estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)

@@ -38,15 +38,14 @@ MAX_HYPOTHESES: Final = 20
 Points = list[tuple[float, float]]
 
 
-def build_message(
-    robot: int, moment: RunMoment, turret_rad: float, waypoints: Sequence[tuple[float, float]]
-) -> dict[str, Any]:
-    """Return the published message of a period; `turret_rad` is the turret's angle relative to the steering."""
+def build_message(robot: int, moment: RunMoment, waypoints: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Return the published message of a period."""
     # Inches and radians; the page converts them for display.
     estimate = moment.estimate
     return {
         "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
-        "turret": float(estimate.pose[2]) + turret_rad, "cov": estimate.belief.cov[:3, :3].tolist(),
+        "turret": float(estimate.pose[2]) + (moment.turret_rad - moment.odometry[2]),
+        "cov": estimate.belief.cov[:3, :3].tolist(),
         "odometry": list(moment.odometry), "truth": None if moment.truth is None else list(moment.truth),
         "echoes": [
             {"sonar": echo.sonar, "reading_in": echo.reading_in, "refusal": echo.refusal.name.lower(),

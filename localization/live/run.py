@@ -19,6 +19,7 @@ from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_m
 from localization.live.localizer import Echo, Estimate
 from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
+from nclient.state import RobotState
 
 MAX_MOMENTS = 36_000
 """Periods of a run in memory: an hour. Results of a longer run, which stays on a page, are those of its end."""
@@ -272,6 +273,11 @@ class GroundTruth:
         # The estimate's time lies between two queries: the true pose is interpolated between them.
         before, (_, self._sample) = self._sample, self._request()
         return before.interpolate(self._sample, clock_s)
+
+    def moment(self, estimate: Estimate, state: RobotState, passed: int = 0) -> RunMoment:
+        """Return a period of a run, with odometry and ground truth at the time of the estimate."""
+        odometry = (state.x_in, state.y_in, state.steering_rad)
+        return RunMoment(estimate, odometry, self.at(estimate.clock_s), passed, state.turret_rad)
 
     def _request(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()

@@ -291,7 +291,7 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
     OutputFileError
         If the file cannot be written.
     """
-    from localization.live.plot import save
+    from localization.plot import save
     from worlds.drawing import ESTIMATE, FAINT, GOAL, ODOMETRY, blank, draw_walls
 
     # 1. Echoes along their axes, in the frame of the map.

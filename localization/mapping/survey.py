@@ -23,7 +23,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds
-from localization.navigation.limits import STAND, AxisLimits, StateGapLimiter, VelocityCommand
+from localization.navigation.limits import STAND, AxisLimits, BackOff, StateGapLimiter, VelocityCommand
 from localization.navigation.path import PathSection, angle_difference, line_between, wall_distances
 from localization.navigation.path_follower import PathFollower
 from localization.navigation.recovery import StallDetector
@@ -230,7 +230,7 @@ class _Motion:
         self._leg: _Leg | None = None
         self._blocked_s = inf
         self._speed_in_s = 0.0
-        self._back_off: tuple[float, Floats, float] | None = None
+        self._back_off: BackOff | None = None
         self._blind_since: Floats | None = None
         self.log = SurveyLog()
 
@@ -244,12 +244,13 @@ class _Motion:
             self.log.notes.append((elapsed_s, f"touched something at ({pose[0]:.1f}, {pose[1]:.1f})"))
             if len(self.log.contacts) >= MAX_CONTACTS:
                 return f"touched something {MAX_CONTACTS} times"
-            self._back_off = self._back_off_speed_in_s(encoders), encoders, elapsed_s
+            limit_s = elapsed_s + 3.0 * BACK_OFF_IN / BACK_OFF_IN_S
+            self._back_off = BackOff(self._back_off_speed_in_s(encoders), encoders.tolist(), limit_s, BACK_OFF_IN)
             self._give_up(pose, "contact")
         if self._back_off is not None:
-            speed, since, since_s = self._back_off
-            if hypot(*(encoders - since)[:2]) < BACK_OFF_IN and elapsed_s - since_s < 3.0 * BACK_OFF_IN / BACK_OFF_IN_S:
-                return VelocityCommand(speed, 0.0)
+            back_off = self._back_off.command(elapsed_s, encoders.tolist())
+            if back_off is not None:
+                return back_off
             self._back_off = None
         # 2. The next leg.
         if self._leg is None:

@@ -18,11 +18,11 @@ from localization.filters.belief import Belief, Floats
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
 from localization.live.publish import Publisher, build_message
-from localization.live.run import GroundTruth, RunMoment
+from localization.live.run import GroundTruth
 from localization.missions.settings import Point
 from localization.navigation.limits import MODEL_LIMITS, STAND, StateGapLimiter, VelocityCommand
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, update_obstacles
-from localization.navigation.planner import Planner
+from localization.navigation.roadmap import Planner
 from localization.navigation.waypoints import (
     COMMAND_TIMEOUT_S,
     Speeds,
@@ -62,8 +62,8 @@ class RobotController:
         `wait(seconds)` lets time of the robot pass.
     method : str or Filter
         Name of a filter, or a filter.
-    speed_in_s, turn_rad_s : float
-        Speed limits.
+    speed_in_s : float
+        Top speed.
     """
 
     def __init__(
@@ -75,11 +75,10 @@ class RobotController:
         wait: Wait,
         method: str | Filter = DEFAULT_METHOD,
         speed_in_s: float = Speeds().translation_in_s,
-        turn_rad_s: float = Speeds().steering_rad_s,
     ) -> None:
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
-        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, turn_rad_s)
+        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, Speeds().steering_rad_s)
         self.planner = Planner(walls, body.radius_in)
         self.obstacles = ObstacleTracker(walls, body.sonar_ring_radius_in)
         self.observers: list[Observer] = []
@@ -162,8 +161,5 @@ class ProgressPublisher:
 
     def __call__(self, observation: Observation) -> None:
         """Publish the estimate, the odometry and the ground truth of this period."""
-        estimate, state = observation
-        odometry = (state.x_in, state.y_in, state.steering_rad)
-        moment = RunMoment(estimate, odometry, self._ground_truth.at(estimate.clock_s), 0, state.turret_rad)
-        turret_rad = state.turret_rad - state.steering_rad
-        self._publisher.publish(build_message(self._ground_truth.robot_id, moment, turret_rad, self._goals))
+        moment = self._ground_truth.moment(*observation)
+        self._publisher.publish(build_message(self._ground_truth.robot_id, moment, self._goals))

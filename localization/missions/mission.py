@@ -27,15 +27,13 @@ from localization.missions.settings import OnLost, Point, Settings, check_argume
 from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.obstacles import position_std_in
 from localization.navigation.path import PathSection, angle_difference, line_between
-from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
+from localization.navigation.path_follower import TURNED_RAD, PathFollower, TurnProgress, turn_command
 from localization.navigation.pilot import Ending, Pilot, RetryPolicy
 from localization.navigation.recovery import RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
 
-BACK_OFF_S: Final = 1.5
-"""Time for which a searching robot drives back after a contact."""
 HALT_S: Final = 2.0
 """An axis at its top speed stops within this time."""
 RING_S: Final = 1.0
@@ -70,23 +68,6 @@ class Seen(NamedTuple):
 
 
 Condition = Callable[[Seen], bool]
-
-
-class TurnProgress:
-    """A turn in place by an angle, counter-clockwise positive, possibly of several revolutions.
-
-    Headings passed one after another must differ by less than half a revolution. The progress survives retries, and a
-    robot that was lost meanwhile still ends at the same heading.
-    """
-
-    def __init__(self, heading_rad: float, by_rad: float) -> None:
-        self._heading_rad, self._remaining_rad = heading_rad, by_rad
-
-    def remaining_rad(self, heading_rad: float) -> float:
-        """Return the rest of the turn at this heading."""
-        self._remaining_rad -= angle_difference(self._heading_rad, heading_rad)
-        self._heading_rad = heading_rad
-        return self._remaining_rad
 
 
 class Mission:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, radians
@@ -42,6 +42,21 @@ class VelocityCommand(NamedTuple):
 
 STAND: Final = VelocityCommand(0.0, 0.0)
 """The command that stops both axes."""
+
+
+class BackOff(NamedTuple):
+    """Backing off after a contact: velocity, encoder position at its start, end by the clock, and distance."""
+
+    velocity_in_s: float
+    start: Sequence[float]
+    until_s: float
+    distance_in: float
+
+    def command(self, clock_s: float, position: Sequence[float]) -> VelocityCommand | None:
+        """Return the velocities at an encoder position (x, y, ...); None at the end."""
+        driven_in = math.hypot(position[0] - self.start[0], position[1] - self.start[1])
+        is_over = driven_in >= self.distance_in or clock_s >= self.until_s
+        return None if is_over else VelocityCommand(self.velocity_in_s, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

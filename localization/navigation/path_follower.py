@@ -113,3 +113,20 @@ def turn_command(angle_rad: float, limits: AxisLimits) -> VelocityCommand:
     """Return the velocities of a turn in place with this angle left, braking in time."""
     braking = sqrt(2.0 * PLANNED_ACCELERATION * limits.steering_rad_s2 * abs(angle_rad))
     return VelocityCommand(0.0, copysign(max(_MIN_TURN_RAD_S, min(limits.steering_rad_s, braking)), angle_rad))
+
+
+class TurnProgress:
+    """A turn in place by an angle, counter-clockwise positive, possibly of several revolutions.
+
+    Headings passed one after another must differ by less than half a revolution. The progress survives retries, and a
+    robot that was lost meanwhile still ends at the same heading.
+    """
+
+    def __init__(self, heading_rad: float, by_rad: float) -> None:
+        self._heading_rad, self._remaining_rad = heading_rad, by_rad
+
+    def remaining_rad(self, heading_rad: float) -> float:
+        """Return the rest of the turn at this heading."""
+        self._remaining_rad -= angle_difference(self._heading_rad, heading_rad)
+        self._heading_rad = heading_rad
+        return self._remaining_rad

@@ -21,12 +21,11 @@ from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
 from localization.live.sensor_input import SensorInput
-from localization.navigation.limits import STAND, AxisLimits, VelocityCommand, allowed_speed_fraction
+from localization.navigation.limits import STAND, AxisLimits, BackOff, VelocityCommand, allowed_speed_fraction
 from localization.navigation.obstacles import ObstacleTracker, position_std_in
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
-from localization.navigation.planner import MARGINS_IN, PlannedPath, Planner
-from localization.navigation.roadmap import NoPathError, Point
+from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner, Point
 
 
 class Ending(Enum):
@@ -93,15 +92,6 @@ REPLAN_INTERVAL_S: Final = 1.0
 
 
 @dataclass
-class _BackOff:
-    """A back-off after a contact: velocity, start time, encoder position at the start."""
-
-    velocity_in_s: float
-    since_s: float
-    encoders: tuple[float, float]
-
-
-@dataclass
 class PilotLog:
     """Plans, positions of contacts, and notes (clock, text) of a drive."""
 
@@ -140,7 +130,7 @@ class Pilot:
         self.log = PilotLog()
         self.result: PilotResult | None = None
         self._follower: PathFollower | None = None
-        self._back_off: _BackOff | None = None
+        self._back_off: BackOff | None = None
         self._last_speed_in_s = 1.0
         self._min_margin_in = 0.0
         # Times since which there is no path, or the estimate is uncertain; inf while that is not so.
@@ -166,7 +156,10 @@ class Pilot:
         if estimate.health.status is HealthStatus.LOST:
             return self._end(Ending.LOST, estimate.health.reason)
         if self._back_off:
-            return self._continue_back_off(estimate, state, self._back_off)
+            command = self._back_off.command(estimate.clock_s, (state.x_in, state.y_in))
+            if command is None:
+                self._back_off, self._follower = None, None
+            return command or STAND
         if state.touching:
             return self._start_back_off(estimate, state)
         # 2. Plan if there is no valid path.
@@ -334,15 +327,11 @@ class Pilot:
             return self._end(
                 Ending.TOUCHED, f"touched something {len(self.log.touches)} times, last at ({x:.1f}, {y:.1f})"
             )
-        velocity = -self.policy.back_off_in_s if is_forward else self.policy.back_off_in_s
-        self._back_off = _BackOff(velocity, estimate.clock_s, (state.x_in, state.y_in))
-        return STAND
-
-    def _continue_back_off(self, estimate: Estimate, state: SensorInput, back_off: _BackOff) -> VelocityCommand:
-        distance = hypot(state.x_in - back_off.encoders[0], state.y_in - back_off.encoders[1])
-        if distance < self.policy.back_off_in and estimate.clock_s - back_off.since_s < self.policy.back_off_s:
-            return VelocityCommand(back_off.velocity_in_s, 0.0)
-        self._back_off, self._follower = None, None
+        policy = self.policy
+        velocity = -policy.back_off_in_s if is_forward else policy.back_off_in_s
+        self._back_off = BackOff(
+            velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s, policy.back_off_in
+        )
         return STAND
 
     def _end(self, ending: Ending, reason: str) -> VelocityCommand:

@@ -8,7 +8,7 @@ a start that the readings do not fit, StallDetector a robot that presses against
 
 from dataclasses import dataclass
 from math import cos, hypot, tau
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from localization.filters.belief import Floats, difference
 from localization.filters.health import HealthStatus
 from localization.filters.update import OUTLIER_THRESHOLD, Refusal
 from localization.live.localizer import Estimate
+from localization.live.sensor_input import SensorInput, sonar_readings
 from localization.navigation.control_law import distance_to
 from nclient.state import RobotState
 from worlds.rings import Ring
@@ -57,27 +58,6 @@ MIN_EXPLAINED: Final = 0.25
 _MISFIT_REMEDY: Final = "check --map and --start, or search with --start unknown"
 
 
-class SonarState(Protocol):
-    """The part of a robot state that RecoveryBehavior uses."""
-
-    @property
-    def sonars_in(self) -> tuple[int, ...]:
-        """Return the last reading of each sonar in inches."""
-
-    @property
-    def steering_rad(self) -> float:
-        """Return the steering angle of the encoders."""
-
-    @property
-    def turret_rad(self) -> float:
-        """Return the turret angle of the encoders."""
-
-    @property
-    def touching(self) -> bool:
-        """Return True if a bumper is pressed."""
-        ...
-
-
 class RecoveryBehavior:
     """Controller for a lost robot; `command` is called every `period_s` seconds, `max_speed_in_s` is the top speed."""
 
@@ -89,7 +69,7 @@ class RecoveryBehavior:
         """Start with a new scan the next time, because the robot is localized again or has moved."""
         self._scanned_rad = self._back_off_s = self._avoiding_rad = 0.0
 
-    def command(self, state: SonarState, turn_rad: float | None = None) -> tuple[float, float]:
+    def command(self, state: SensorInput, turn_rad: float | None = None) -> tuple[float, float]:
         """Return translation in in/s and steering in rad/s.
 
         Parameters
@@ -124,9 +104,9 @@ class RecoveryBehavior:
         return 0.0, TURN_RAD_S
 
 
-def _free_ahead_in(state: SonarState, ring: Ring) -> float:
+def _free_ahead_in(state: SensorInput, ring: Ring) -> float:
     """Return the shortest reading of the sonars that look ahead."""
-    readings = (getattr(state, "ring_in", None) or state.sonars_in)[: ring.count]
+    readings = sonar_readings(state)[: ring.count]
     directions = np.array(ring.angles_rad[: len(readings)]) + state.turret_rad - state.steering_rad
     beams = zip(readings, directions, strict=True)
     return min((reading for reading, direction in beams if cos(direction) >= AHEAD), default=0)

@@ -9,7 +9,7 @@ the loop has no clock of its own.
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -51,6 +51,20 @@ class Speeds:
         return ControlGains(
             self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta
         )
+
+
+class Controller(Protocol):
+    """Decides once per period how to drive: a Navigator, or the tasks of a calibration run (umbmark.py)."""
+
+    passed: int
+    """Number of waypoints reached, or of tasks done."""
+
+    @property
+    def finished(self) -> bool:
+        """True if nothing is left to do."""
+
+    def command(self, pose: Floats) -> VelocityCommand | None:
+        """Return the velocities at a pose (3,); None at the end."""
 
 
 class Navigator:
@@ -109,7 +123,7 @@ class Navigator:
 
 
 class NavigationStep(NamedTuple):
-    """One period of a run: estimate, state, number of waypoints reached."""
+    """One period of a run: estimate, state, number of waypoints reached or tasks done."""
 
     estimate: Estimate
     state: RobotState
@@ -140,9 +154,11 @@ def start_localizer(
 def follow_waypoints(
     robot: Robot,
     localizer: Localizer,
-    navigator: Navigator,
+    navigator: Controller,
     wait: Callable[[float], None],
     smoother: PoseSmoother | None = None,
+    *,
+    turns_turret: bool = False,
 ) -> Generator[NavigationStep, None, None]:
     """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
@@ -154,12 +170,14 @@ def follow_waypoints(
     ----------
     robot : Robot
     localizer : Localizer
-    navigator : Navigator
+    navigator : Controller
     wait : callable
         `wait(seconds)` lets time of the robot pass, as `Robot.sleep`; called only for what its clock has not
         advanced by itself.
     smoother : PoseSmoother, optional
         Smooths the pose to steer by. Default: steer by the estimates.
+    turns_turret : bool
+        Turn the turret with the steering, so that every sonar measures every wall.
     """
     smoother, gap_limiter = smoother or PoseSmoother(0.0), StateGapLimiter()
     stands = navigator.finished
@@ -187,7 +205,10 @@ def follow_waypoints(
             if command != STAND or not stands:
                 fraction = gap_limiter.speed_fraction(estimate.clock_s)
                 translation_in_s, steering_rad_s = (fraction * speed for speed in command)
-                after = drive_unless_held(robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+                turret = {"turret_rad_s": steering_rad_s} if turns_turret else {}
+                after = drive_unless_held(
+                    robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, **turret
+                )
             stands = command == STAND
             state = wait_for_next_state(robot, state, after, wait)
 

@@ -21,7 +21,7 @@ from urllib.parse import quote
 
 from nclient.cli import serving
 from nclient.common.arguments import add_flag
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
@@ -33,7 +33,7 @@ from nclient.url import parse_address
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("address", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
+    parser.add_argument("address", metavar="ADDRESS", help="far end, such as serial:///dev/ttyUSB0 or nserver://lab:7019")
     serving.add_listener_options(parser)
     parser.add_argument("--record", metavar="FILE", help="record all traffic to FILE")
     add_flag(parser, "--dump", "print the traffic to stdout, as `nomad dump` does")

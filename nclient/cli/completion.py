@@ -12,7 +12,6 @@ import argparse
 import re
 import shlex
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,8 @@ import shtab
 
 from nclient.cli.state_text import PARTS
 from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode
+from nclient.common.hints import entry_points
+from nclient.common.process import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
 from nclient.url import available_schemes
@@ -28,7 +28,7 @@ from nclient.url import available_schemes
 PROGRAMS, WORDS = "nomad.programs", "nomad.words"
 """Entry point groups: parsers of programs by name, and the completions of metavars."""
 # Metavars that stand for files.
-_FILES = frozenset({"FILE", "FILE.toml", "SETUP", "PATH", "PNG", "file"})
+_FILES = frozenset({"FILE", "FILE.toml", "SETUP", "PATH", "PNG"})
 # Complete examples for schemes whose bare name would not be an address.
 _BEFORE_A_COLON = {"nserver": ("nserver://localhost:7019/1",), "serial": ("serial:///dev/ttyUSB0",),
                    "robotd": ("robotd://",)}  # fmt: skip
@@ -59,7 +59,7 @@ def words_of_metavars() -> dict[str, tuple[str, ...]]:
     # 2. Addresses: one per scheme, and each shipped world as a simulation.
     addresses = [_BEFORE_A_COLON.get(scheme, (f"{scheme}:",)) for scheme in available_schemes()]
     simulated = [f"sim:{world}" for world in found.get("WORLD", ())]
-    return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "call": tuple(BY_NAME), "MODEL": tuple(MODELS),
+    return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "CALL": tuple(BY_NAME), "MODEL": tuple(MODELS),
             "ADDRESS": (*(word for words in addresses for word in words), *simulated)} | found  # fmt: skip
 
 

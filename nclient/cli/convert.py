@@ -12,7 +12,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

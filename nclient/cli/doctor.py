@@ -19,7 +19,7 @@ import time
 from typing import Final
 
 from nclient.common.arguments import add_address, add_flag, add_value, seconds, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import DEFAULT_ADDRESS, VARIABLE, Connector, address_or_default, is_listening
 from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, fail, ok, report, warn, worst
 from nclient.errors import ConnectionLost, ReplyTimeout
@@ -36,11 +36,11 @@ _GET_STATE: Final = BY_NAME["gs"].line_type or 0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_address(parser)
+    add_address(parser, "the first robot found")
     count = whole_number("the number of exchanges", 1, 1_000_000)
-    add_value(parser, "--exchanges", "N", count, f"send gs N times (default {EXCHANGES})", EXCHANGES)
+    add_value(parser, "--exchanges", "N", count, f"send gs N times (default: {EXCHANGES})", EXCHANGES)
     add_value(parser, "--interval", "S", seconds,
-              f"send gs at intervals of S seconds (default {INTERVAL_S:g})", INTERVAL_S)
+              f"send gs at intervals of S seconds (default: {INTERVAL_S:g})", INTERVAL_S)
     add_flag(parser, "--json", "print one JSON object instead of lines")
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from nclient.cli.serving import print_message
 from nclient.common.arguments import add_flag
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
 from nclient.protocol.types import MODELS, N150, get_model
@@ -29,7 +29,7 @@ _PIECE = 4096
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("file", type=Path, help="recording, or with --line a file of plain bytes")
+    parser.add_argument("file", type=Path, metavar="FILE", help="recording, or with --line a file of plain bytes")
     parser.add_argument("--filter", default="", metavar="COMMAND", help="show only this C command and its replies")
     parser.add_argument("--connection", default="", metavar="NAME", help="show only this connection")
     add_flag(parser, "--bytes", "show the bytes as well")

@@ -5,9 +5,11 @@
     nomad help [COMMAND] the same as --help, or as COMMAND --help
 
 Only the module of the named subcommand is imported, so that a missing extra affects no other. A NomadError is printed
-on stderr; exit codes are those of nclient.common.exit_codes. SIGTERM and SIGHUP end every command through its `with`
+on stderr; exit codes are those of nclient.common.process. SIGTERM and SIGHUP end every command through its `with`
 blocks, which stop the robot (nclient/common/process.py).
 """
+
+from __future__ import annotations
 
 import argparse
 import ast
@@ -15,17 +17,18 @@ import importlib.util
 import re
 import sys
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from nclient.common import process
-from nclient.common.arguments import Parser
-from nclient.common.exit_codes import ExitCode, in_short
-from nclient.common.hints import closest_match, install_hint, version
-from nclient.common.process import TerminatedBySignal, handle_termination_signals
+from nclient.common.arguments import Parser, add_version, protect_coordinates
+from nclient.common.hints import closest_match, entry_points, install_hint
+from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
 from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "nomad.commands"
 HELP = "help"
@@ -92,7 +95,7 @@ def _dispatch(arguments: list[str]) -> int:
     # 3. Parse its arguments and run it.
     parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
-    return command.run(parser.parse_args([_protect_coordinates(word) for word in rest]))
+    return command.run(parser.parse_args([protect_coordinates(word) for word in rest]))
 
 
 def whole_parser() -> Parser:
@@ -124,9 +127,6 @@ def _escape_percent(text: str) -> str:
     return text.replace("%", "%%")
 
 
-def _protect_coordinates(word: str) -> str:
-    """Mark coordinates such as -5,3 as a value with a blank; argparse would take them for an option."""
-    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 class _TopParser(Parser):
@@ -149,7 +149,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.commands = commands
-    parser.add_argument("--version", action="version", version=f"nomad {version()}")
+    add_version(parser)
     return parser
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from nclient.cli import serving
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
 from nclient.recording.format import read_recording
 from nclient.recording.replayer import ORDERS, STRICT, Player, ReplyChunk, load_exchanges
@@ -28,7 +28,8 @@ _MAY = "may have the recording answer"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("file", type=Path, help="recording, as made by record=FILE in an address or nserver --record")
+    parser.add_argument("file", type=Path, metavar="FILE",
+                        help="recording, as made by record=FILE in an address or nserver --record")
     serving.add_listener_options(parser)
     parser.add_argument("--pace", choices=(AT_ONCE, RECORDED), default=AT_ONCE,
                         help="reply at once (default), or after the recorded delay")

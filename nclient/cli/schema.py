@@ -2,20 +2,21 @@
 
     nomad schema world > world.schema.json        then in a world's first line: #:schema world.schema.json
 
-Kinds of files are found by the entry points of the group nomad.schemas: msgspec types that the readers use, too. The
-schema cannot express what needs geometry or other files; then the reader refuses what the schema allows. Apart from
-"$schema" it uses keywords that draft 7 has, too, since editors know no later one.
+The schema is made from the types with which the file is read. It cannot express what needs geometry or other files:
+such errors are found when the file is read. Its keywords are those of draft 7, which editors understand.
 """
+
+# Kinds of files are found by the entry points of the group nomad.schemas: msgspec types.
 
 import argparse
 import json
 from collections.abc import Iterator
-from importlib.metadata import entry_points
 from typing import Any, Final, get_args
 
 import msgspec
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.hints import entry_points
+from nclient.common.process import ExitCode
 
 GROUP: Final = "nomad.schemas"
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
@@ -35,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 def file_schema(kind: str) -> dict[str, Any]:
     """Return the schema of a kind of file."""
-    (point,) = entry_points(group=GROUP, name=kind)
+    (point,) = entry_points(group=GROUP).select(name=kind)
     return json_schema(point.load())
 
 

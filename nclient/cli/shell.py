@@ -26,8 +26,8 @@ from nclient.cli.serving import print_message
 from nclient.cli.shell_help import candidates, parse
 from nclient.cli.shell_session import Session
 from nclient.common.arguments import add_address, add_value
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
+from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import NomadError, ShellError
 from nclient.protocol.wire_state import WireState

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 from nclient.cli import state_text
 from nclient.common.arguments import add_flag, add_value, seconds, whole_number
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{', '.join(state_text.PARTS)} (default: all)",
     )
     add_flag(parser, "--watch", "repeat until Ctrl-C; implied by --every and --count")
-    add_value(parser, "--every", "S", seconds, f"repeat at intervals of S seconds (default {EVERY_S:g})")
+    add_value(parser, "--every", "S", seconds, f"repeat at intervals of S seconds (default: {EVERY_S:g})")
     add_value(parser, "--count", "N", whole_number("the number of times", 1), "repeat N times")
     add_flag(parser, "--json", "print one JSON object per line, with all parts")
 

@@ -24,7 +24,7 @@ from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
 from nclient.cli.serving import print_message
 from nclient.common.arguments import add_address, add_value, seconds
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.decode import model_mismatch_hint
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_address(parser)
     add_value(parser, "--patience", "S", seconds,
-              f"try for S seconds (default {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
+              f"try for S seconds (default: {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from inspect import getdoc
 from textwrap import fill
 from typing import Any
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call, Command
@@ -36,19 +36,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump|dissector", required=True)
     names = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
     encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{names}")
-    encode.add_argument("call", help="C name, such as vm, get_sn, special_request")
-    encode.add_argument("args", nargs="*", help="arguments of the call")
+    encode.add_argument("call", metavar="CALL", help="C name, such as vm, get_sn, special_request")
+    encode.add_argument("args", nargs="*", metavar="ARG", help="arguments of the call")
     encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
-    encode.add_argument("--packet-type", type=int, help="packet type of special_request")
+    encode.add_argument("--packet-type", type=int, metavar="N", help="packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
     decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
-    decode.add_argument("hex", nargs="+", action=_Hex, help="bytes of one frame")
+    decode.add_argument("hex", nargs="+", metavar="HEX", action=_Hex, help="bytes of one frame")
     decode.add_argument(
         "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
     )
     decode.add_argument("--call", help="decode as the reply to this call")
     decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
-    decode.add_argument("--laser-mode", type=int, help="laser mode in force (default: 51)")
+    decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
     _add_verb(verbs, "dump", getdoc(_dump) or "")
     _add_verb(verbs, "dissector", getdoc(_dissector) or "")
     parser.set_defaults(**_DEFAULTS)
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
-        name, help=description.partition("\n")[0], description=description,
+        name, help=description.partition("\n")[0].removesuffix("."), description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_line(parser)

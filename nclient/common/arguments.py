@@ -10,12 +10,13 @@ An unknown option is reported before other errors, which it usually causes.
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NoReturn
 
-from nclient.common.exit_codes import ExitCode
-from nclient.common.hints import closest_match, suggest
+from nclient.common.hints import closest_match, suggest, version
+from nclient.common.process import ExitCode
 
 MAX_DIGITS = 18
 """Maximum length of a whole number; int() refuses very long ones."""
@@ -75,6 +76,11 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, message)
 
 
+def protect_coordinates(word: str) -> str:
+    """Mark coordinates such as -5,3 as a value with a blank; argparse would take them for an option."""
+    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
+
+
 def number(expected: str, low: float, high: float = math.inf) -> Callable[[str], float]:
     """Return a parser of finite numbers from low to high; its ArgumentTypeError says what is expected."""
 
@@ -125,8 +131,22 @@ def add_flag(parser: argparse._ActionsContainer, name: str, about: str) -> None:
     parser.add_argument(name, action="store_true", help=about)
 
 
-def add_address(parser: argparse.ArgumentParser) -> None:
-    """Add the address of a robot, which may be left out."""
+class _PrintVersion(argparse.Action):
+    """Print the installed version and exit. argparse's own action takes a text, for which each start would read it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {version()}")
+        parser.exit()
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add --version."""
+    parser.add_argument("--version", action=_PrintVersion, nargs=0, default=argparse.SUPPRESS,
+                        help="show program's version number and exit")  # fmt: skip
+
+
+def add_address(parser: argparse.ArgumentParser, default: str = "robot 1 of a local nserver") -> None:
+    """Add the address of a robot; without it and NOMAD_ROBOT the command takes `default`."""
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="robot, such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room "
-                        "(default: $NOMAD_ROBOT, or robot 1 of a local nserver)")
+                        f"(default: $NOMAD_ROBOT, or {default})")

@@ -1,4 +1,6 @@
-"""Hints in error messages: the most similar word, the extra that installs a missing module; the package's version."""
+"""Hints in error messages: the most similar word, the extra of a missing module; the version, and entry points."""
+
+from __future__ import annotations
 
 import functools
 import re
@@ -8,7 +10,10 @@ import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 SIMILARITY = 0.6
 """Minimum similarity of a suggestion, 0 to 1 (difflib's ratio)."""
@@ -43,6 +48,20 @@ def version() -> str:
     from importlib import metadata  # here: its import is a twentieth of the start of nserver
 
     return metadata.version(DISTRIBUTION)
+
+
+def entry_points(group: str) -> EntryPoints:
+    """Return the entry points of a group."""
+    found: EntryPoints = _all_entry_points().select(group=group)
+    return found
+
+
+@functools.cache
+def _all_entry_points() -> Any:
+    """Return the entry points of all groups. Cached: reading them takes 20 ms where 250 packages are installed."""
+    from importlib import metadata
+
+    return metadata.entry_points()
 
 
 _GROUPS = frozenset({"all", "dev", "bench"})

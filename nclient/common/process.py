@@ -1,4 +1,7 @@
-"""Process environment of the commands: termination signals, standard streams, broken pipes.
+"""Process environment of the commands: exit codes, termination signals, standard streams, broken pipes, progress.
+
+Exit codes above 128 are 128 plus the number of the signal that ended the command, as in shells; docs/exit-codes.md
+describes them, and scripts rely on their values.
 
 SIGTERM, and SIGHUP when the terminal is closed, raise `TerminatedBySignal` in the main thread, so that a command stops
 its robot and writes its report as after Ctrl-C. The first signal counts, later ones are ignored (Ctrl-C is not).
@@ -11,12 +14,33 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from enum import IntEnum
+from itertools import count
 from pathlib import Path
 from types import FrameType
 from typing import Final, NoReturn
 
-from nclient.common.exit_codes import ExitCode
 from nclient.common.files import describe_write_error
+
+
+class ExitCode(IntEnum):
+    """Exit code of a command."""
+
+    DONE = 0
+    FAILED = 1
+    USAGE = 2
+    NOT_REACHED = 3
+    UNFIT = 4
+    HUNG_UP = 129
+    INTERRUPTED = 130
+    READER_GONE = 141
+    TERMINATED = 143
+
+
+def in_short() -> str:
+    """Return all codes in one line, for --help."""
+    return ", ".join(f"{code.value} {code.name.lower().replace('_', ' ')}" for code in ExitCode)
+
 
 _CODES = {"SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.HUNG_UP}
 _STANDARD_STREAMS = (0, 1, 2)
@@ -131,3 +155,30 @@ def _discard_stdout() -> None:
     except (OSError, ValueError):
         # stdout is not a file of the operating system.
         return
+
+
+PROGRESS_S: Final = 1.0
+"""Seconds between two reports of progress, and before the first."""
+
+
+@contextlib.contextmanager
+def show_seconds(title: str) -> Iterator[None]:
+    """Show on stderr, if it is a terminal, how many seconds the body has taken so far."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    done, passed_s = threading.Event(), count(PROGRESS_S, PROGRESS_S)
+
+    def show() -> None:
+        while not done.wait(PROGRESS_S):
+            print(f"\r{title}: {next(passed_s):.0f} s", end="", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        if next(passed_s) > PROGRESS_S:
+            print(file=sys.stderr)

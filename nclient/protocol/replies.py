@@ -27,6 +27,7 @@ from nclient.protocol.wire_state import LINES, PIXELS, WireState, line_laser_wid
 
 MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
+MAX_TEXT_BYTES: Final = 200
 
 
 _NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
@@ -62,9 +63,9 @@ class Reply(NamedTuple):
     values: tuple[int, ...] = ()
 
 
-def text_values(text: str, max_bytes: int = 200) -> tuple[int, ...]:
+def text_values(text: str) -> tuple[int, ...]:
     """Return a text as the values of a reply: the number of its bytes in UTF-8, then the bytes."""
-    coded = text.encode()[:max_bytes]
+    coded = text.encode()[:MAX_TEXT_BYTES]
     return (len(coded), *coded)
 
 

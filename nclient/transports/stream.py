@@ -14,10 +14,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
-from typing import Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
+from nclient.common.hints import entry_points
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 class Deadline:

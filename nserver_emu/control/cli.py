@@ -3,7 +3,7 @@
     nserver ctl [--control PATH] [--json] COMMAND [ARGUMENT]
 
 Files are read here, and named by absolute paths, because the server may run in another folder. Exit codes are those of
-nclient.common.exit_codes. A server of another version costs an error message, never a traceback.
+nclient.common.process. A server of another version costs an error message, never a traceback.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from nclient.common.arguments import Parser, add_flag
-from nclient.common.exit_codes import ExitCode
 from nclient.common.hints import suggest
+from nclient.common.process import ExitCode
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
@@ -249,12 +249,13 @@ def _parser() -> argparse.ArgumentParser:
     commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
     parser = Parser(
         prog="nserver ctl",
+        usage="nserver ctl [-h] [--control PATH] [--json] COMMAND [ARGUMENT]",
         description="Send a command to a server that was started with --control.",
         epilog=f"commands:\n{commands}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_options(parser)
-    parser.add_argument("words", nargs="+", metavar="COMMAND", help="see below")
+    parser.add_argument("words", nargs="+", metavar="COMMAND", help="one of the commands below, with its argument")
     return parser
 
 

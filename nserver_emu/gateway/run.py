@@ -23,7 +23,6 @@ from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number
 from nclient.errors import RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.link import FaultController
@@ -60,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_value(group, "--shadow-report", "FILE", Path,
               "write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
     add_value(group, "--shadow-every", "S", speed,
-              f"log a summary of the differences every S seconds (default {SUMMARY_S:g})", SUMMARY_S)
+              f"log a summary of the differences every S seconds (default: {SUMMARY_S:g})", SUMMARY_S)
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -209,6 +208,7 @@ def _connect(options: argparse.Namespace, faults: FaultController | None) -> Rea
     none, those that the daemon has for this line.
     """
     from nclient.connector import Connector  # most daemons have no real robot and start faster without it
+    from nclient.url import parse_address
 
     address = parse_address(options.real)
     # The gateway sets the motion timeout, keeps it alive and reconnects by itself.

@@ -9,7 +9,7 @@
 robots          what is driven: a batch, robots of one simulation, a connected robot
 tasks           what is to be done: observations, rewards, the end
 runner          both together, for n robots at once
-environments    the interfaces of Gymnasium, and policies.py: what drives them
+environments    the interfaces of Gymnasium, and policies, which drive them
 parallel        the interface of PettingZoo
 
 Observations and actions are in metres, radians and seconds; inside, in inches, as in the simulation.
@@ -23,8 +23,15 @@ try:
 except ModuleNotFoundError as missing:
     raise ExtraMissing(f"nserver_emu.gym needs gymnasium: {install_command('gym')}") from missing
 
-from nserver_emu.gym.environments import RobotEnv, RobotVectorEnv
-from nserver_emu.gym.policies import Episode, Policy, RandomPolicy, WallFollower, run_episode
+from nserver_emu.gym.environments import (
+    Episode,
+    Policy,
+    RandomPolicy,
+    RobotEnv,
+    RobotVectorEnv,
+    WallFollower,
+    run_episode,
+)
 from nserver_emu.gym.runner import RunnerOptions
 from nserver_emu.gym.tasks import Explore, GoTo, Task
 

@@ -1,10 +1,16 @@
-"""The header of a server's recording: everything that is needed to start the same simulation again.
+"""Recordings of a server: the header, with all that starts the same simulation again, and the replay.
 
     header   world, robot, start, others, noise, setup, seed | pace | permissions | snapshot | port
 
 Whatever changes a reply must be in the header or in an entry. Files of world, models and setup are stored by name, with
 a digest that shows whether they have changed since; a snapshot is stored as a whole, because a server that was restored
-from it may overwrite it. No clock, no socket.
+from it may overwrite it.
+
+    steps --> simulation     out --> session.receive     in --> replies, compared     close --> disconnect
+
+A replay gives the recorded requests to a new emulator in their order, which is that of the server, and compares the
+replies byte by byte; the first difference ends it. A client's recording of `sim:` can be replayed as well. No clock, no
+socket.
 """
 
 from __future__ import annotations
@@ -13,14 +19,29 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from hashlib import file_digest
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from nclient.common.hints import version
-from nclient.errors import RecordingError
+from nclient.errors import NomadError, RecordingError
+from nclient.protocol.types import get_model
+from nclient.recording.format import IN, OUT, Entry, Recording
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence import snapshot
+from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.config import SimulationConfig
+from nserver_emu.server.handlers.doors_and_walkers import change_door, change_walker
+from nserver_emu.server.handlers.runtime_settings import (
+    change_obstacle,
+    change_wall,
+    put_world,
+    show_world,
+    switch_noise,
+)
 from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
+from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.server.server_state import Allowed, SimulationClock
+from nserver_emu.server.session import BaseSession, Session
 from nserver_emu.simulation.noise import SUFFIX
 from worlds.io import world_names
 from worlds.world import StartPose
@@ -148,3 +169,242 @@ def _start(values: Mapping[str, float] | None) -> StartPose | None:
 
 def _path(text: str | None) -> Path | None:
     return Path(text) if text else None
+
+
+MAX_STEP_S: Final = 250.0
+"""The longest step that a server writes: a quarter of a second of real time at its top speed. Clients' steps are
+shorter."""
+
+_SHOWN_BYTES: Final = 12
+"""Bytes shown of each side of a difference."""
+
+_INVALID: Final = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError)
+"""Errors caused by values that no server writes."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """The number of equal replies and of their bytes, and the first difference, "" for none."""
+
+    answers: int
+    size: int
+    difference: str = ""
+
+
+class _NeverOpened(Exception):
+    """An entry belongs to a connection that is not open."""
+
+
+class Replayer(Protocol):
+    """Follows the entries of a recording, and returns the reply for each recorded one."""
+
+    def follow(self, entry: Entry) -> bytes:
+        """Apply the next entry and return the bytes that the robot sends."""
+
+
+def replay(recording: Recording) -> ReplayResult:
+    """Send the requests of a recording to an emulator that starts as its header describes, and compare the replies.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be replayed; other NomadErrors of a server's start and of control commands.
+    """
+    # 1. The emulator.
+    try:
+        replayer = _create_replayer(recording)
+    except NomadError:
+        raise
+    except _INVALID as error:
+        raise RecordingError(
+            f"{recording.name}, line 1: no valid description of the simulation ({error!r:.80})"
+        ) from None
+    # 2. Each entry, up to the first difference.
+    answers = size = 0
+    for entry in recording.entries:
+        try:
+            reply = replayer.follow(entry)
+        except _NeverOpened:
+            raise RecordingError(
+                f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
+            ) from None
+        except NomadError:
+            raise
+        except _INVALID as error:
+            raise RecordingError(
+                f"{recording.name}, line {entry.line}: not an entry of a server ({error!r:.80}); remove it"
+            ) from None
+        if reply != entry.data and entry.kind == IN:
+            return ReplayResult(answers, size, _difference(recording, entry, reply))
+        answers += entry.kind == IN and bool(reply)
+        size += len(reply) if entry.kind == IN else 0
+    return ReplayResult(answers, size)
+
+
+def _create_replayer(recording: Recording) -> Replayer:
+    header = recording.header
+    if header.get("real_robots"):
+        raise RecordingError(f"{recording.name}: recorded with real robots, which no emulator can repeat; use "
+                             f"`nomad play` to send the recorded replies")
+    if header.get("by") == SERVER:
+        return _ServerReplayer(recording)
+    address = str(header.get("address", ""))
+    if address.startswith(f"{SCHEME}:"):
+        return _InProcessReplayer(open_address(address))
+    raise RecordingError(
+        f"{recording.name}: recorded at {address or 'an unknown address'}, which no emulator can repeat; use "
+        f"`nomad play` to send the recorded replies"
+    )
+
+
+class _ServerReplayer:
+    """The sessions of a server and its emulator, without clock and sockets."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._emulator = RunHeader.from_json(recording.header, recording.name).create_emulator()
+        self._emulator.port = recording.header["port"]
+        self._max_requests = recording.header["requests_a_turn"]
+        self._sessions: dict[str, BaseSession[Any]] = {}
+        self._greetings: dict[str, bytes] = {}
+        self._line_clock_s = 0.0
+        self._client_registry = ClientRegistry()
+        self._closed: list[tuple[float, str]] = []
+
+    def follow(self, entry: Entry) -> bytes:
+        self._advance(entry)
+        for name, value in entry.more.items():
+            _apply_change(self._emulator, name, value)
+        match entry.kind:
+            case "open":
+                self._open(entry)
+            case "out":
+                self._session(entry).receive(entry.data)
+            case "in":
+                return self._process(entry)
+            case "close":
+                self._close(entry)
+        return b""
+
+    def _advance(self, entry: Entry) -> None:
+        """Advance by the steps before an entry, and remove clients that were closed long enough ago."""
+        while self._closed and self._closed[0][0] <= entry.time_s:
+            self._client_registry.remove(self._closed.pop(0)[1])
+        for dt_s, count in entry.more.get("steps", ()):
+            # A longer step would block for as long as it takes.
+            if dt_s > MAX_STEP_S:
+                raise ValueError(f"a step of {dt_s} s")
+            for _ in range(count):
+                self._emulator.pass_time(dt_s)
+        self._line_clock_s = entry.more.get("at", self._line_clock_s)
+
+    def _open(self, entry: Entry) -> None:
+        answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
+        wire, model = entry.more["wire"], get_model(entry.more["model"])
+        # TCP sessions choose their word size by the client; serial sessions belong to a robot.
+        if wire == TCP:
+            self._client_registry.add_pending(name, host)
+            self._sessions[name] = Session(
+                answer, name, lambda wide: self._client_registry.lookup(name, host, wide),
+                self._emulator.allowed.frame,
+            )  # fmt: skip
+            return
+        robot_id = entry.more["robot_id"]
+        wire_state = self._emulator.serial_wire_state(robot_id)
+        line = SerialSession(answer, robot_id, model, lambda: self._line_clock_s, name, wire_state)
+        self._sessions[name] = line
+        self._greetings[name] = line.greeting if wire == HANDSHAKE_FIRST else b""
+
+    def _session(self, entry: Entry) -> BaseSession[Any]:
+        session = self._sessions.get(entry.connection)
+        if session is None:
+            raise _NeverOpened
+        return session
+
+    def _close(self, entry: Entry) -> None:
+        session = self._session(entry)
+        del self._sessions[entry.connection]
+        # An orderly disconnect frees the identity at once, a lost connection later.
+        if session.closing:
+            self._client_registry.remove(entry.connection, disconnected=True)
+        else:
+            self._closed.append((entry.time_s + CLOSED_RETENTION_S, entry.connection))
+        self._emulator.on_disconnect(session.context)
+
+    def _process(self, entry: Entry) -> bytes:
+        """Do what the server did at such an entry: send the greeting, poll a deferred reply, or process requests."""
+        name = entry.connection
+        session = self._session(entry)
+        # 1. The greeting of a serial line.
+        if greeting := self._greetings.pop(name, b""):
+            return greeting
+        # 2. A reply that became ready by time.
+        if entry.more.get("by_time"):
+            return session.tick()
+        if not session.ready:
+            session.tick()  # discards an incomplete frame, so that the one behind it is found
+            if isinstance(session, Session):
+                session.assume_32_bit_words()
+        # 3. A turn; the handshake of a TCP client registers its identity.
+        before = session.identity
+        reply = session.process_requests(self._max_requests)
+        if session.identity != before:
+            self._client_registry.register(name, _host(name), session.identity)
+        return reply
+
+
+def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
+    """Apply a change that was not made by a request, as the server and its control socket record it."""
+    match name:
+        case "pace":
+            emulator.clock.factor, emulator.clock.paused = value
+            emulator.clock.check()
+            emulator.invalidate_state_cache()
+        case "noise":
+            switch_noise(emulator, value)
+        case "hold":
+            for robot_id in value.get("robots", ()):
+                emulator.hold(robot_id, value["by"], is_silent=not value.get("informs"))
+        case "release":
+            for robot_id in value:
+                emulator.release(robot_id)
+        case "shown":
+            show_world(emulator)
+        case "obstacle":
+            change_obstacle(emulator, value)
+        case "wall":
+            change_wall(emulator, value)
+        case "door":
+            change_door(emulator, value)
+        case "walker":
+            change_walker(emulator, value)
+        case "world":
+            put_world(emulator, **value)
+
+
+class _InProcessReplayer:
+    """The emulator of a `sim:` address."""
+
+    def __init__(self, end: InProcess) -> None:
+        self._end = end
+
+    def follow(self, entry: Entry) -> bytes:
+        if entry.kind == OUT:
+            self._end.send(entry.data)
+        return self._end.receive() if entry.kind == IN else b""
+
+
+def _host(name: str) -> str:
+    return name.rpartition(":")[0]
+
+
+def _difference(recording: Recording, entry: Entry, reply: bytes) -> str:
+    at = next((k for k, (a, b) in enumerate(zip(reply, entry.data, strict=False)) if a != b),
+              min(len(reply), len(entry.data)))  # fmt: skip
+    return (
+        f"{recording.name}, line {entry.line}: from byte {at} on {_hex(reply, at)} instead of {_hex(entry.data, at)} "
+        f"({len(reply)} and {len(entry.data)} bytes)"
+    )
+
+
+def _hex(data: bytes, at: int) -> str:
+    return data[at:][:_SHOWN_BYTES].hex() or "nothing"

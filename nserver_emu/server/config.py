@@ -46,7 +46,7 @@ class StartPoseAllocator:
         for pose in self._untried.setdefault(radius_in, self._candidates(2.0 * radius_in + GAP_IN)):
             if not self._is_free(pose, radius_in):
                 continue
-            if self._has_room_ahead(pose, radius_in):
+            if has_room_ahead(self._simulation, pose, radius_in):
                 return pose
             cramped.append(pose)
         while cramped:
@@ -62,10 +62,6 @@ class StartPoseAllocator:
             and self._simulation.world.clearance(*position) > radius_in
             and not self._simulation.touched_walker(*position, radius_in)
         )
-
-    def _has_room_ahead(self, pose: StartPose, radius_in: float) -> bool:
-        """Return True if a robot can drive ROOM_AHEAD_IN straight ahead, and stands in no other robot's path."""
-        return has_room_ahead(self._simulation, pose, radius_in)
 
     def _candidates(self, spacing_in: float) -> Iterator[StartPose]:
         """Return the starts, then rings around each to the farthest corner of a room."""

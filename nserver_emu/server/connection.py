@@ -664,7 +664,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     def _start_session(self, name: str) -> None:
         """Create the session; `name` is the client's in logs and recordings."""
         # The session must not hold a reference to its connection: the cycle would live until the next garbage
-        # collection, and those are rare (garbage_collection.py).
+        # collection, and those are rare (daemon.py).
         lookup = weakref.WeakMethod(self._lookup_identity)
         self.session = Session(
             self._handler.answer, name, lambda wide: method(wide) if (method := lookup()) else [],

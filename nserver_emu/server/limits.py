@@ -55,7 +55,7 @@ class Limits:
         500, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, in total",
         "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     per_address: int = _limit(
-        300, (1, 100_000), "connections", "the same, from one address",
+        300, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, from one address",
         "the longest idle connection is closed for a new one; else see below", "server/admission.py")
     rate: int = _limit(
         10_000, (10, 1_000_000), "requests per second", "replies to one connection",
@@ -112,7 +112,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     for row in TABLE:
         none = f"; {NONE}: no limit" if row.may_be_none else ""
         group.add_argument(row.option, type=_reader(row), default=row.default, metavar="N",
-                           help=f"{row.unit}: {row.guards} (default {row.default}{none})")
+                           help=f"at most N {row.unit}: {row.guards} (default: {row.default}{none})")
 
 
 def limits_of(options: argparse.Namespace) -> Limits:

@@ -235,12 +235,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("robots' own lines")
     group.add_argument("--serial-link", action="append", type=_link, default=[], metavar="PATH[@ROBOT]",
                        help="create a pseudo-terminal as a robot's serial line, and PATH as a symbolic link to it; "
-                       "repeat for robot 2 and so on; clients connect to serial://PATH?model=MODEL, old C programs to "
-                       "PATH if it begins with /dev, such as /dev/shm/nomad")
+                       "repeatable, for robot 2 and so on; clients connect to serial://PATH?model=MODEL, old C "
+                       "programs to PATH if it begins with /dev, such as /dev/shm/nomad")
     group.add_argument("--robotd", action="append", type=_port, nargs="?",
                        const=RequestedLine(str(ROBOTD_PORT), None), default=[], metavar="PORT[@ROBOT]",
-                       help=f"listen for a robot's line over TCP (default {ROBOTD_PORT}; 0 takes a free port); clients "
-                       "connect to robotd://HOST:PORT?model=MODEL")
+                       help=f"listen for a robot's line over TCP (default: {ROBOTD_PORT}; 0 takes a free port); "
+                       "clients connect to robotd://HOST:PORT?model=MODEL")
     group.add_argument("--baud", type=_baud, metavar="RATE",
                        help="limit serial lines to RATE bits per second, 38400 for a real Nomad (default: no limit)")
 

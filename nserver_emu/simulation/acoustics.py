@@ -1,6 +1,7 @@
 """Acoustics of the Polaroid sonars: the model of a ring, its settings, and the walls as reflectors.
 
-The paths of sound are in echo_paths.py, the surfaces of walls in surfaces.py.
+The paths of sound are in echo_paths.py, the walls that they meet first in visible_walls.py, the surfaces of walls in
+surfaces.py.
 """
 
 from __future__ import annotations
@@ -8,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from math import cos, inf, radians, sin
+from math import ceil, cos, inf, radians, sin, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation import echo_paths
-from nserver_emu.simulation.echo_paths import Attenuation, Reflectors
+from nserver_emu.simulation import echo_paths, visible_walls
+from nserver_emu.simulation.echo_paths import Attenuation
 from nserver_emu.simulation.segments import PS_PER_S
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
 from nserver_emu.simulation.surfaces import Surfaces
+from nserver_emu.simulation.visible_walls import BLOCK, Reflectors
 from worlds import raycast
 from worlds.compiled import CompiledFunction
 from worlds.geometry import NO_DISCS, FloatArray
@@ -31,6 +33,10 @@ MIN_FACTOR: Final = 1e-3
 """Smallest factor of a range by noise that is allowed for then."""
 
 
+BOX_MARGIN_IN: Final = 1e-3
+"""Boxes are so much larger than their walls: beyond all tolerances of reflections."""
+
+
 class ReflectorMap:
     """The walls as reflectors: (m, 4), rows x1 y1 x2 y2 in inches, and their surfaces; None: as the map has them."""
 
@@ -42,11 +48,13 @@ class ReflectorMap:
     def arrays(self) -> Reflectors:
         """The walls and their surfaces in arrays, for compiled code."""
         # A copy: compiled code is made for arrays that can be written.
-        columns, none = np.array(self.walls.T, order="C"), np.empty(0)
+        walls = _in_blocks(self.walls)
+        columns, none = np.array(walls.T, order="C"), np.empty(0)
+        boxes = _boxes(columns)
         if self.surfaces is None:
-            return Reflectors(columns, np.empty(0, dtype=np.int64), none, none, np.empty((4, 0)))
+            return Reflectors(columns, boxes, np.empty(0, dtype=np.int64), none, none, np.empty((4, 0)))
         breaks, levels, posts = [none], [none], [np.empty((4, 0))]
-        for x1, y1, x2, y2 in self.walls.tolist():
+        for x1, y1, x2, y2 in walls.tolist():
             along = complex(x2 - x1, y2 - y1)
             # Surfaces are found by the bits of a wall: the second end by its vector from the first.
             surface = self.surfaces.of(np.array([x1, y1, x1 + along.real, y1 + along.imag]))
@@ -60,12 +68,39 @@ class ReflectorMap:
             levels.append(surface.levels_in)
         begins = np.cumsum([0, *map(len, breaks[1:])])
         surfaces = np.concatenate(breaks), np.concatenate(levels), np.concatenate(posts, axis=1)
-        return Reflectors(columns, begins, *surfaces)
+        return Reflectors(columns, boxes, begins, *surfaces)
 
     @cached_property
     def lists(self) -> Reflectors:
         """The same in lists, for plain Python."""
         return Reflectors(*(array.tolist() for array in self.arrays))
+
+
+def _in_blocks(walls: FloatArray) -> FloatArray:
+    """Return walls (m, 4) in an order in which BLOCK that follow one another are near one another.
+
+    References
+    ----------
+    Leutenegger, Lopez and Edgington, STR: a simple and efficient algorithm for R-tree packing, ICDE (1997): strips of
+    neighbours along x, as many as each has blocks, each sorted by y.
+    """
+    if len(walls) <= BLOCK:
+        return walls
+    x, y = walls[:, 0] + walls[:, 2], walls[:, 1] + walls[:, 3]
+    strip = BLOCK * ceil(sqrt(len(walls) / BLOCK))
+    rank = np.empty(len(walls), dtype=np.intp)
+    rank[np.argsort(x, kind="stable")] = np.arange(len(walls))
+    return walls[np.lexsort((y, rank // strip))]
+
+
+def _boxes(columns: FloatArray) -> FloatArray:
+    """Return centre and half size (4, b) of the box around each block of walls, columns x1 y1 x2 y2 (4, m)."""
+    if not columns.size:
+        return np.empty((4, 0))
+    begins = np.arange(0, columns.shape[1], BLOCK)
+    low = np.minimum.reduceat(np.minimum(columns[:2], columns[2:]), begins, axis=1)
+    high = np.maximum.reduceat(np.maximum(columns[:2], columns[2:]), begins, axis=1)
+    return np.vstack(((low + high) / 2.0, (high - low) / 2.0 + BOX_MARGIN_IN))
 
 
 def _example() -> tuple[Any, ...]:
@@ -74,7 +109,7 @@ def _example() -> tuple[Any, ...]:
     return np.zeros((1, 4)), 1.0, 0.0, 0.0, losses, walls, np.zeros((3, 0)), 1.0
 
 
-FIRST_ECHO: Final = CompiledFunction(echo_paths.first_echo, lambda: (echo_paths, raycast), _example)
+FIRST_ECHO: Final = CompiledFunction(echo_paths.first_echo, lambda: (echo_paths, visible_walls, raycast), _example)
 """The first echo of a ping, plain or compiled."""
 
 

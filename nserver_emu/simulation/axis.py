@@ -170,16 +170,6 @@ class Axis:
         return phase.velocity + phase.acceleration * self._elapsed_s
 
     @property
-    def phase_acceleration(self) -> float:
-        """Units per second squared until the phase ends."""
-        return self._phases[0].acceleration if self._phases else 0.0
-
-    @property
-    def phase_left_s(self) -> float:
-        """Seconds for which the acceleration stays the same; inf when nothing ends."""
-        return self._phases[0].duration_s - self._elapsed_s if self._phases else inf
-
-    @property
     def max_speed(self) -> float:
         """Upper bound of the speed until the next command, units per second: phases end at rest or at cruise."""
         phases = self._phases
@@ -200,7 +190,7 @@ class Axis:
 
     @property
     def current_phase(self) -> tuple[float, float, float]:
-        """`phase_left_s`, `velocity` and `phase_acceleration` in one call, which is faster."""
+        """Seconds for which the acceleration stays the same (inf when nothing ends), velocity, and acceleration."""
         if not self._phases:
             return inf, 0.0, 0.0
         return phase_now(self._phases[0], self._elapsed_s)

@@ -32,15 +32,22 @@ mirrors, edges as scatterers, the beam's directivity.
 from math import asin, atan2, cos, inf, log10, sin, sqrt, tan
 from typing import Any, Final, NamedTuple
 
+from nserver_emu.simulation.visible_walls import (
+    TINY,
+    Beam,
+    Reflectors,
+    Wall,
+    blocks_between,
+    distance,
+    in_frame,
+    walls_in_cone,
+    walls_of,
+)
 from worlds.raycast import nearest_wall, ray_to_disc
 
 SMALL_IN: Final = 1e-6
 """Offset of the start of a reflected leg from its wall, and tolerance at its end: inches, a millionth of the resolution
 of a reading."""
-
-TINY: Final = 1e-9
-"""Fraction by which a wall or a path counts as longer: the echo of a square corner passes exactly through its vertex.
-"""
 
 STRAIGHT_RAD: Final = 1e-3
 """Two walls that meet within this of a straight line are one wall, and have no edge there."""
@@ -48,12 +55,6 @@ STRAIGHT_RAD: Final = 1e-3
 SCATTERERS: Final = 33
 """Scattering points of a robot, evenly over its visible part: at most 0.8 degrees apart, a third of an inch of range at
 60 in, where a hundredth of the range is noise."""
-
-FEW_WALLS: Final = 8
-"""With more walls in a cone, those behind others are left out first."""
-
-HIDDEN_IN: Final = 1e-5
-"""A wall is hidden if it lies farther than this behind another: beyond the tolerance of an obstruction."""
 
 BISECTIONS: Final = 48
 """Of the arc between the points that face two transducers: the rest is far below SMALL_IN."""
@@ -73,34 +74,6 @@ class Attenuation(NamedTuple):
     edge_loss_db: float
     skin_loss_db: float
     post_loss_db: float
-
-
-class Reflectors(NamedTuple):
-    """The walls, as columns x1, y1, x2, y2, and their surfaces.
-
-    Attributes
-    ----------
-    begins, breaks_in, levels_in
-        The levels of wall k stand from begins[k] on: distances from its first end, and inches to its left. All empty
-        for planes.
-    posts
-        Columns x, y of points on the walls, and how the surface displaces them.
-    """
-
-    walls: Any
-    begins: Any
-    breaks_in: Any
-    levels_in: Any
-    posts: Any
-
-
-class Beam(NamedTuple):
-    """The cone of a transducer: its apex, and its axis as a unit vector."""
-
-    x: float
-    y: float
-    dx: float
-    dy: float
 
 
 class Pair(NamedTuple):
@@ -123,10 +96,6 @@ class Pair(NamedTuple):
     offset_in: float
     min_range_in: float
     margin_db: float
-
-
-Wall = tuple[float, float, float, float]
-"""A wall x1, y1, x2, y2."""
 
 
 class Mirror(NamedTuple):
@@ -164,23 +133,23 @@ def first_echo(
     """
     nearest_in, slope = max_range_in, tan(losses.half_rad)
     back = Beam(sources[0][0], sources[0][1], cos(sources[0][2]), sin(sources[0][2]))
-    # 1. The walls that sound reaches on half of its path, and those in the receiver's cone.
+    # 1. The walls in the receiver's cone that sound reaches on half of its path.
     loudest_in = margin_db / losses.absorption_db_in if losses.absorption_db_in > 0.0 else inf
     farthest_in = 0.0
     for source in sources:
         half_in = min(loudest_in, nearest_in + recess_in + source[3] / 2.0)
         farthest_in = max(farthest_in, half_in + distance(source[0], source[1], back.x, back.y) / 2.0)
-    rows, near = walls_near(back, farthest_in, reflectors.walls)
-    back_rows, back_walls = walls_in_cone(back, slope, rows, near)
+    back_rows, back_walls = walls_in_cone(back, slope, farthest_in, reflectors)
     lasts = mirrors_of(back, back_rows, back_walls)
     for number in range(len(sources)):
         # 2. The pair. Its paths are at most so long that sound is loud enough, and the echo nearer than one found.
         source, is_own = sources[number], number == 0
         out, offset_in = Beam(source[0], source[1], cos(source[2]), sin(source[2])), -recess_in - source[3] / 2.0
         pair = Pair(out, back, is_own, offset_in, -inf if is_own else min_range_in, margin_db)
+        reach_in = min(loudest_in, nearest_in - offset_in) + distance(out.x, out.y, back.x, back.y) / 2.0
         if min(loudest_in, nearest_in - offset_in) < 0.0:
             continue
-        out_rows, out_walls = (back_rows, back_walls) if is_own else walls_in_cone(out, slope, rows, near)
+        out_rows, out_walls = (back_rows, back_walls) if is_own else walls_in_cone(out, slope, reach_in, reflectors)
         firsts = lasts if is_own else mirrors_of(out, out_rows, out_walls)
         # 3. The shortest free path off one reflector ...
         echoes = off_walls(pair, losses, nearest_in, firsts, reflectors)
@@ -190,30 +159,18 @@ def first_echo(
             off_disc(echoes, pair, losses, nearest_in, disc)
             if is_own:
                 over_walls_to_disc(echoes, pair, losses, nearest_in, firsts, disc)
-        nearest_in = first_free(echoes, pair, nearest_in, out_walls, near, back_walls, discs)
+        nearest_in = first_free(echoes, pair, nearest_in, out_walls, back_walls, reflectors, discs)
         # 4. ... and of those off two walls that are shorter.
         reach_in = min(loudest_in, nearest_in - offset_in) + distance(out.x, out.y, back.x, back.y) / 2.0
         firsts = mirrors_within(firsts, reach_in)
         echoes = off_two_walls(pair, losses, nearest_in, firsts, mirrors_within(lasts, reach_in))
         if is_own:
-            numbers = rows if len(reflectors.begins) else rows[:0]
-            over_walls_to_walls(echoes, pair, losses, nearest_in, firsts, numbers, near)
-        nearest_in = first_free(echoes, pair, nearest_in, out_walls, near, back_walls, discs)
+            over_walls_to_walls(echoes, pair, losses, nearest_in, firsts, reflectors)
+        nearest_in = first_free(echoes, pair, nearest_in, out_walls, back_walls, reflectors, discs)
     return nearest_in if nearest_in < max_range_in else inf
 
 
 # Geometry
-
-
-def distance(x1: float, y1: float, x2: float, y2: float) -> float:
-    """Return the distance of two points."""
-    return sqrt((x2 - x1) * (x2 - x1) + (y2 - y1) * (y2 - y1))
-
-
-def in_frame(beam: Beam, x: float, y: float) -> tuple[float, float]:
-    """Return a point relative to a beam: along its axis, and to its left."""
-    to_x, to_y = x - beam.x, y - beam.y
-    return to_x * beam.dx + to_y * beam.dy, beam.dx * to_y - beam.dy * to_x
 
 
 def mirrored(x: float, y: float, mirror: Mirror) -> tuple[float, float]:
@@ -235,70 +192,6 @@ def crossing(x: float, y: float, to_x: float, to_y: float, mirror: Mirror) -> tu
     on_wall = (offset_x * line_y - offset_y * line_x) / turned
     is_met = 0.0 < on_line <= 1.0 + TINY and -TINY <= on_wall <= 1.0 + TINY
     return is_met, x + on_line * line_x, y + on_line * line_y
-
-
-def walls_near(beam: Beam, reach_in: float, walls: Any) -> tuple[list[int], list[Wall]]:
-    """Return the walls that reach into the square of this half width around a beam's apex: numbers, and ends."""
-    low_x, high_x, low_y, high_y = beam.x - reach_in, beam.x + reach_in, beam.y - reach_in, beam.y + reach_in
-    rows, near = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
-    columns = zip(walls[0], walls[1], walls[2], walls[3])  # noqa: B905  for numba
-    for row, (x1, y1, x2, y2) in enumerate(columns):
-        if (
-            (x1 <= high_x or x2 <= high_x)
-            and (x1 >= low_x or x2 >= low_x)
-            and (y1 <= high_y or y2 <= high_y)
-            and (y1 >= low_y or y2 >= low_y)
-        ):
-            rows.append(row)
-            near.append((x1, y1, x2, y2))
-    return rows, near
-
-
-def walls_in_cone(beam: Beam, slope: float, rows: list[int], near: list[Wall]) -> tuple[list[int], list[Wall]]:
-    """Return the walls that can reach into a cone: not beyond one of its two sides, not behind; few of those hidden."""
-    found, walls = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
-    for row, wall in zip(rows, near):  # noqa: B905  for numba
-        ahead_1, left_1 = in_frame(beam, wall[0], wall[1])
-        ahead_2, left_2 = in_frame(beam, wall[2], wall[3])
-        rim_1, rim_2 = slope * ahead_1, slope * ahead_2
-        if not (
-            (left_1 > rim_1 and left_2 > rim_2)
-            or (left_1 < -rim_1 and left_2 < -rim_2)
-            or (ahead_1 < 0.0 and ahead_2 < 0.0)
-        ):
-            found.append(row)
-            walls.append(wall)
-    return visible_walls(beam, found, walls) if len(walls) > FEW_WALLS else (found, walls)
-
-
-def visible_walls(beam: Beam, rows: list[int], walls: list[Wall]) -> tuple[list[int], list[Wall]]:
-    """Return the walls of which no other hides all from the apex, the nearest first."""
-    order = [(wall_distance(beam, wall), number) for number, wall in enumerate(walls)]
-    order.sort()
-    found, visible = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
-    for _, number in order:
-        is_hidden = False
-        for other in visible:
-            if hides(beam, other, walls[number]):
-                is_hidden = True
-                break
-        if not is_hidden:
-            found.append(rows[number])
-            visible.append(walls[number])
-    return found, visible
-
-
-def hides(beam: Beam, one: Wall, other: Wall) -> bool:
-    """Return True if one wall hides all of another from the apex: both ends lie between its ends, and behind it."""
-    x1, y1, x2, y2 = one[0] - beam.x, one[1] - beam.y, one[2] - beam.x, one[3] - beam.y
-    turned = x1 * y2 - y1 * x2
-    side = 1.0 if turned > 0.0 else -1.0
-    behind = turned * side + HIDDEN_IN * (abs(x2 - x1) + abs(y2 - y1))
-    for x, y in ((other[0] - beam.x, other[1] - beam.y), (other[2] - beam.x, other[3] - beam.y)):
-        left_1, left_2 = side * (x1 * y - y1 * x), side * (x * y2 - y * x2)
-        if left_1 <= 0.0 or left_2 <= 0.0 or left_1 + left_2 <= behind:
-            return False
-    return True
 
 
 def wall_distance(beam: Beam, wall: Wall) -> float:
@@ -409,7 +302,7 @@ def off_edge(
     echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, walls: list[Wall]
 ) -> None:
     """Add the echo off an end of a wall."""
-    range_in = scattered_range(pair, losses, x, y, 0.0, 0.0, losses.edge_loss_db)
+    range_in = scattered_range(pair, losses, nearest_in, x, y, 0.0, 0.0, losses.edge_loss_db)
     if range_in < nearest_in and is_edge(x, y, walls):
         echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
 
@@ -417,22 +310,21 @@ def off_edge(
 def off_posts(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, posts: Any) -> None:
     """Add the echoes off posts. A displaced post counts as on its wall for all but the length of the path."""
     for x, y, shift_x, shift_y in zip(posts[0], posts[1], posts[2], posts[3]):  # noqa: B905  for numba
-        range_in = scattered_range(pair, losses, x, y, shift_x, shift_y, losses.post_loss_db)
+        range_in = scattered_range(pair, losses, nearest_in, x, y, shift_x, shift_y, losses.post_loss_db)
         if range_in < nearest_in:
             echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
 
 
 def scattered_range(
-    pair: Pair, losses: Attenuation, x: float, y: float, shift_x: float, shift_y: float, loss_db: float
-) -> float:
-    """Return the range of a point that scatters, displaced; inf if it is not detected."""
-    out, back = pair.out, pair.back
-    both_db = point_loss_db(pair, losses, x, y)
-    if both_db == inf:
-        return inf
-    at_x, at_y = x + shift_x, y + shift_y
+    pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float, shift_y: float,
+    loss_db: float,
+) -> float:  # fmt: skip
+    """Return the range of a point that scatters, displaced; inf if it is not detected or not nearer than another."""
+    out, back, at_x, at_y = pair.out, pair.back, x + shift_x, y + shift_y
     length_in = distance(out.x, out.y, at_x, at_y) + distance(back.x, back.y, at_x, at_y)
-    return echo_range(pair, losses, length_in, both_db + loss_db)
+    if not pair.min_range_in <= length_in / 2.0 + pair.offset_in < nearest_in:
+        return inf
+    return echo_range(pair, losses, length_in, point_loss_db(pair, losses, x, y) + loss_db)
 
 
 def is_edge(x: float, y: float, walls: list[Wall]) -> bool:
@@ -564,7 +456,7 @@ def off_two_walls(
             # 1. The image in the first wall, and its image in the last: at the length of the path.
             twice_x, twice_y = mirrored(image_x, image_y, two)
             length_in = distance(twice_x, twice_y, back.x, back.y)
-            if length_in / 2.0 + pair.offset_in >= nearest_in:
+            if not pair.min_range_in <= length_in / 2.0 + pair.offset_in < nearest_in:
                 continue
             # 2. Backwards from the receiver: the point on the last wall, then the one on the first.
             is_met, x2, y2 = crossing(twice_x, twice_y, back.x, back.y, two)
@@ -581,28 +473,31 @@ def off_two_walls(
 
 
 def over_walls_to_walls(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror], rows: list[int],
-    near: list[Wall],
+    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+    reflectors: Reflectors,
 ) -> None:  # fmt: skip
-    """Add the echoes off a slanted wall, perpendicularly onto another, and back along themselves.
-
-    `rows` are the numbers of the walls where they have surfaces: then the same wall again is the path off one wall,
-    without its level.
-    """
-    out, reach_in = pair.out, nearest_in - pair.offset_in
+    """Add the echoes off a slanted wall, perpendicularly onto another, and back along themselves."""
+    out, reach_in, has_surfaces = pair.out, nearest_in - pair.offset_in, len(reflectors.begins) > 0
     for mirror in mirrors:
+        # 1. The walls that the image sees through the mirror.
         image_x, image_y = mirrored(out.x, out.y, mirror)
-        for row, (x1, y1, x2, y2) in enumerate(near):
-            # 1. The foot of the perpendicular from the image, in reach.
+        right_x, right_y = mirror.x - TINY * mirror.along_x - image_x, mirror.y - TINY * mirror.along_y - image_y
+        left_x, left_y = right_x + (1.0 + 2.0 * TINY) * mirror.along_x, right_y + (1.0 + 2.0 * TINY) * mirror.along_y
+        if right_x * left_y < right_y * left_x:
+            right_x, right_y, left_x, left_y = left_x, left_y, right_x, right_y
+        behind = blocks_between(image_x, image_y, right_x, right_y, left_x, left_y, reach_in, reflectors.boxes)
+        for row, (x1, y1, x2, y2) in walls_of(behind, reflectors.walls):
+            # 2. The foot of the perpendicular from the image, in reach.
             along_x, along_y, to_x, to_y = x2 - x1, y2 - y1, image_x - x1, image_y - y1
             square, dot = along_x * along_x + along_y * along_y, to_x * along_x + to_y * along_y
             cross = along_x * to_y - along_y * to_x
             if dot < 0.0 or dot > square or square == 0.0 or cross * cross > reach_in * reach_in * square:
                 continue
-            if len(rows) and rows[row] == mirror.row:
+            # With surfaces the same wall again is the path off one wall, without its level.
+            if has_surfaces and row == mirror.row:
                 continue
             foot_x, foot_y = x1 + dot / square * along_x, y1 + dot / square * along_y
-            # 2. The point on the slanted wall; there and back.
+            # 3. The point on the slanted wall; there and back.
             is_met, x, y = crossing(image_x, image_y, foot_x, foot_y, mirror)
             if is_met:
                 length_in = 2.0 * distance(image_x, image_y, foot_x, foot_y)
@@ -616,8 +511,8 @@ def over_walls_to_walls(
 
 
 def first_free(
-    echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], near: list[Wall], back_walls: list[Wall],
-    discs: Any,
+    echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], back_walls: list[Wall],
+    reflectors: Reflectors, discs: Any,
 ) -> float:  # fmt: skip
     """Return the shortest range of a path on which nothing stands between one point and the next, or `nearest_in`.
 
@@ -629,10 +524,20 @@ def first_free(
         if (
             is_free(out.x, out.y, x1, y1, out_walls, discs)
             and is_free(x2, y2, end_x, end_y, back_walls, discs)
-            and is_free(x1, y1, x2, y2, near, discs)
+            and is_free_between(x1, y1, x2, y2, reflectors, discs)
         ):
             return range_in
     return nearest_in
+
+
+def is_free_between(x: float, y: float, to_x: float, to_y: float, reflectors: Reflectors, discs: Any) -> bool:
+    """Return True if no wall at all and no disc stands between two points."""
+    if x == to_x and y == to_y:
+        return True
+    dx, dy, reach_in = to_x - x, to_y - y, distance(x, y, to_x, to_y)
+    blocks = blocks_between(x, y, dx, dy, dx, dy, reach_in, reflectors.boxes)
+    walls = [wall for _, wall in walls_of(blocks, reflectors.walls)]
+    return is_free(x, y, to_x, to_y, walls, discs)
 
 
 def is_free(x: float, y: float, to_x: float, to_y: float, walls: list[Wall], discs: Any) -> bool:

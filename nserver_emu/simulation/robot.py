@@ -118,8 +118,7 @@ class SimulatedRobot:
     The three numbers of a command are for the axes in their order: translation, steering, turret (Scout: right wheel,
     left wheel, none), in inches where `model.in_inches`, otherwise in radians. Values out of range are clamped
     silently. Motion commands restart the time-out; for settings and queries servers call `feed`, if they come from the
-    client that drives. A blocked motion has ended: the
-    wheels wait for the next command.
+    client that drives. A blocked motion has ended: the wheels wait for the next command.
 
     Attributes
     ----------
@@ -508,7 +507,7 @@ class SimulatedRobot:
     def accelerations(self) -> Velocities:
         """Current accelerations by axis, per second squared; 0 where axes jump."""
         first, second, third = self._drive.axes
-        return first.phase_acceleration, second.phase_acceleration, third.phase_acceleration
+        return first.current_phase[2], second.current_phase[2], third.current_phase[2]
 
     @property
     def counts(self) -> tuple[float, float, float]:

@@ -4,7 +4,8 @@
     ViewerClients.call ──> reply of the robot ──> reply message
 
 What a page does to a robot is sent as a client of that robot would send it (clients.py). A viewer that may only watch
-gets an error for everything else.
+gets an error for everything else. A learned map is adjusted to measured lengths by `nomad map edit`, in a process of
+its own; the page then replaces the world, as by loading a file, so that it can undo the step.
 """
 
 from __future__ import annotations
@@ -12,13 +13,17 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import subprocess
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
+from nclient.common.process import NOMAD
 from nclient.protocol.types import heading_tenths, tenths
 from nclient.protocol.wire_state import WireState
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
@@ -30,8 +35,7 @@ from nserver_emu.viewer.classroom import refusal
 from nserver_emu.viewer.clients import Answer, ViewerClient, ViewerClients
 from nserver_emu.viewer.error_boundary import ErrorBoundary
 from nserver_emu.viewer.localizers import Localizers
-from nserver_emu.viewer.map_editor import adjust_world
-from nserver_emu.viewer.messages import STALE_S, parse_published
+from nserver_emu.viewer.messages import STALE_S, Tape, parse_published
 from nserver_emu.viewer.traffic import TrafficMonitor
 from worlds.io import SHIPPED, format_world, load_world, world_names
 
@@ -402,3 +406,28 @@ class ViewerController:
 def _replier(viewer: Viewer, number: int) -> Callable[[Answer], None]:
     """Return a function that sends a viewer the reply to its message of this number."""
     return lambda answer: viewer.notify(messages.encode_message("answer", id=number, **answer))
+
+
+TIMEOUT_S: Final = 60.0
+"""The largest map takes some seconds."""
+
+
+def adjust_world(text: str, lengths: Sequence[Tape], program: Sequence[str] = NOMAD) -> dict[str, Any]:
+    """Return the answer to a page: the text of a world file after the adjustment, or an error."""
+    with tempfile.TemporaryDirectory(prefix="nserver-") as folder:
+        before, after = Path(folder, "world.toml"), Path(folder, "adjusted.toml")
+        before.write_text(text, encoding="utf-8")
+        command = [*program, "map", "edit", str(before), "--out", str(after), "--json"]
+        for tape in lengths:
+            (x1, y1), (x2, y2) = tape.ends
+            # A value that begins with a minus would be taken for an option.
+            command += ["--length", f" {x1!r},{y1!r}", f" {x2!r},{y2!r}", repr(tape.length)]
+        command += ["--tape-std", repr(min(tape.std for tape in lengths))]
+        try:
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return {"ok": False, "error": f"nomad map edit: {error}"}
+        if ended.returncode:
+            lines = ended.stderr.strip().splitlines() or [f"ended with {ended.returncode}"]
+            return {"ok": False, "error": lines[-1].removeprefix("nomad: ").removeprefix("nomad map: ")}
+        return {"ok": True, "text": after.read_text(encoding="utf-8"), **json.loads(ended.stdout)}

@@ -7,12 +7,13 @@ of clients are handled in turns that all connections of the daemon share.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 from typing import Final
 
-from aiohttp import web
+from aiohttp import WSCloseCode, web
 
 from nclient.common.allowlist import NOT_ALLOWED
 from nclient.errors import ConnectionLost
@@ -30,7 +31,6 @@ CONNECTION_LOST_S: Final = 10.0
 """Ping interval plus reply time-out, rounded up."""
 CLOSING_S: Final = 0.5
 """Time-out of the closing handshake."""
-# Only files of this server; no inline script, so that a text from a client cannot become code.
 STALLED_S: Final = 8.0
 """Time after which a page that receives nothing is disconnected."""
 NO_LIMIT: Final = 2**31
@@ -116,6 +116,14 @@ async def wait_for_rate(limit: TokenBucket | None) -> None:
             await asyncio.sleep(wait_s)
 
 
+async def _run_clock(tick: Callable[[], Awaitable[None]]) -> None:
+    due = loop_time()
+    while True:
+        due = next_due(due, loop_time())
+        await asyncio.sleep(due - loop_time())
+        await tick()
+
+
 def next_due(due_s: float, now_s: float) -> float:
     """Return the time of the next picture, given the time at which the last one was due.
 
@@ -145,6 +153,8 @@ class HttpPort:
         self.runner: web.AppRunner | None = None
         self.admission: auth.HttpAdmission | None = None
         self._server: asyncio.Server | None = None
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._clock: asyncio.Task[None] | None = None
 
     async def open(self, app: web.Application, host: str, port: int) -> int:
         """Start serving; return the port. Raises ConnectionLost if it cannot be used; the message names the remedy."""
@@ -164,8 +174,53 @@ class HttpPort:
         auth.HTTP_LOG.addFilter(self.admission.keep_record)  # only if something is served: close() removes it
         return int(self._server.sockets[0].getsockname()[1])
 
+    def start_clock(self, tick: Callable[[], Awaitable[None]]) -> None:
+        """Call a function every PERIOD_S until `close`."""
+        self._clock = asyncio.create_task(_run_clock(tick))
+
+    @contextlib.asynccontextmanager
+    async def websocket(
+        self, request: web.Request, clients: str, max_bytes: int, *, is_limited: bool = True
+    ) -> AsyncIterator[tuple[web.WebSocketResponse, PageWriter]]:
+        """Accept a websocket, which counts towards --limit-viewers until the end of the block.
+
+        Parameters
+        ----------
+        request
+        clients
+            Who there are too many of if the limit is reached, such as "clients".
+        max_bytes
+            Size of the largest message.
+        is_limited
+            False: accept it in any case.
+        """
+        if is_limited and len(self._sockets) >= self.door.limits.viewers:
+            self.door.reject(request.remote or "", f"too many {clients} (--limit-viewers)")
+            raise web.HTTPServiceUnavailable(text=f"too many {clients}: close one (--limit-viewers)\n")
+        socket = web.WebSocketResponse(
+            compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=max_bytes
+        )
+        self._sockets.add(socket)
+        writer = None
+        try:
+            await socket.prepare(request)
+            writer = PageWriter(socket, transport_of(request), loop_time())
+            yield socket, writer
+        finally:
+            self._sockets.discard(socket)
+            if writer and socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
+                writer.abort()
+            clear_tracebacks(socket.exception())
+
     async def close(self) -> None:
-        """Stop serving. May be called twice."""
+        """Stop serving: the clock, websockets, the port. May be called twice."""
+        if self._clock is not None:
+            self._clock.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._clock
+            self._clock = None
+        closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
+        await asyncio.gather(*closing, return_exceptions=True)
         if self._server is not None:
             self._server.close()
             self._server = None

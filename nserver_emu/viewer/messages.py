@@ -8,7 +8,7 @@ to the page, by `type`
     programs     robots: names of the clients of each robot that has any
     picture      the scene or its changes (scene.py)
     traffic      rows of requests and replies (traffic.py), missed: number of frames left out
-    localization the latest published estimate (localization.py), and its age: age_s
+    localization the latest published estimate, and its age: age_s
     map          the latest published map that is being learned, and its age: age_s
     localizers   robots: {robot: {"method", "state", "words", "has_old_map"} ...} of localizers that pages started;
                  state: starting, running, ended, failed; words: what it waits for, why it ended, or the error;

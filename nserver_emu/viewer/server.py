@@ -2,8 +2,8 @@
 
     GET /?token=T      the page              GET /page/NAME     its files, which contain no secret
     GET /              the page for a tab that has its token already: a reload
-    GET /ws?token=T    the websocket         POST /publish?token=T    estimates of a localizer (localization.py)
-    GET /health, /metrics                    state of the daemon (metrics.py)
+    GET /ws?token=T    the websocket         POST /publish?token=T    estimates of a localizer (localizers.py)
+    GET /health, /metrics                    state of the daemon, for Prometheus and monitors
 
 Everything about the simulation requires a token: to act, only to watch (auth.py), or a student's (classroom.py); health
 and metrics are open to loopback. A websocket must come from a page of this server: its Origin must be the requested
@@ -17,12 +17,12 @@ import asyncio
 import contextlib
 import hmac
 import logging
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from http import HTTPStatus
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
-from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp import WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback, is_same_machine
 from nserver_emu.server.daemon import Daemon
@@ -30,21 +30,8 @@ from nserver_emu.viewer import auth
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import TEACHER, Student
 from nserver_emu.viewer.controller import ViewerController
-from nserver_emu.viewer.http_port import (
-    CLOSING_S,
-    HEARTBEAT_S,
-    Handler,
-    HttpPort,
-    PageMessages,
-    PageWriter,
-    clear_tracebacks,
-    local_address,
-    loop_time,
-    next_due,
-    transport_of,
-)
+from nserver_emu.viewer.http_port import Handler, HttpPort, PageMessages, PageWriter, local_address, loop_time
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
-from nserver_emu.viewer.metrics import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.scene import Modes, SceneHistory, laser_modes
 
 log = logging.getLogger(__name__)
@@ -73,12 +60,10 @@ class ViewerServer:
         names = {student.robot: student.name for student in students}
         self.controller = ViewerController(daemon, self.broadcaster, names)
         self._writers: dict[Viewer, PageWriter] = {}
-        self._sockets: set[web.WebSocketResponse] = set()
         self._sending: set[asyncio.Task[None]] = set()
         self._host_name = LOOPBACK_NAME
         self._port = HttpPort(daemon.admission, "the page", "--viewer")
         self._daemon = daemon
-        self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Start serving; return the port (port 0 takes a free one).
@@ -102,7 +87,7 @@ class ViewerServer:
         # 2. The port.
         port = await self._port.open(app, host, port)
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
-        self._clock = asyncio.create_task(self._run_clock())
+        self._port.start_clock(self._tick)
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self.controller.localizers.page_url = f"http://{auth.to_loopback(place)}/?token={self.token}"
         return port
@@ -110,28 +95,13 @@ class ViewerServer:
     async def close(self) -> None:
         """Stop serving. May be called twice."""
         await self.controller.localizers.close()
-        # In the reverse order of `open`: clock, pages, socket, filter, runner.
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
-        closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
-        await asyncio.gather(*closing, return_exceptions=True)
         await self._port.close()
         self.controller.close()
 
-    async def _run_clock(self) -> None:
-        due = loop_time()
-        while True:
-            # No pictures are taken while no page is open.
-            due = next_due(due, loop_time())
-            await asyncio.sleep(due - loop_time())
-            if self.broadcaster.viewers:
-                await self._update_pages()
-
-    async def _update_pages(self) -> None:
+    async def _tick(self) -> None:
         """Take a picture and send it to all pages; an error of one page does not affect others."""
+        if not self.broadcaster.viewers:
+            return
         with self.controller.error_boundary.guard("the clock"):
             self.controller.tick(loop_time())
         with self.controller.error_boundary.guard("the picture"):
@@ -205,40 +175,27 @@ class ViewerServer:
         if not auth.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
         # However many pages a class opens, its teacher gets one.
-        if len(self._sockets) >= self._port.door.limits.viewers and access.name != TEACHER:
-            self._port.door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
-            raise web.HTTPServiceUnavailable(text="too many pages are open: close one (--limit-viewers)\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)
-        self._sockets.add(socket)  # it counts towards the limit from now on
-        try:
-            await socket.prepare(request)
-            writer = PageWriter(socket, transport_of(request), loop_time())
-        except BaseException:
-            self._sockets.discard(socket)
-            raise
-        # 2. The page is open: its messages are handled in order until it closes.
-        viewer = self.controller.connect_page(loop_time(), access, watch_token=self.watch_token)
-        self._writers[viewer] = writer
-        viewer.on_message = lambda: self._send_soon(viewer)
-        viewer.on_message()
-        messages = PageMessages(
-            self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, loop_time()),
-            self._port.door.limits.page_rate,
-        )  # fmt: skip
-        try:
-            async for message in socket:
-                if message.type == WSMsgType.TEXT:
-                    await messages.handle(message.data)
-                elif message.type == WSMsgType.BINARY:
-                    viewer.notify(encode_message("answer", id=None, ok=False, error="a message is text, not bytes"))
-                await asyncio.sleep(0)  # let others run, however much this page sends
-        finally:
-            self._sockets.discard(socket)
-            del self._writers[viewer]
-            self.controller.leave(viewer)
-            if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
-                writer.abort()
-            clear_tracebacks(socket.exception())
+        accepted = self._port.websocket(request, "pages are open", MAX_TEXT, is_limited=access.name != TEACHER)
+        async with accepted as (socket, writer):
+            # 2. The page is open: its messages are handled in order until it closes.
+            viewer = self.controller.connect_page(loop_time(), access, watch_token=self.watch_token)
+            self._writers[viewer] = writer
+            viewer.on_message = lambda: self._send_soon(viewer)
+            viewer.on_message()
+            messages = PageMessages(
+                self._daemon.scheduler, lambda text: self.controller.handle_message(viewer, text, loop_time()),
+                self._port.door.limits.page_rate,
+            )  # fmt: skip
+            try:
+                async for message in socket:
+                    if message.type == WSMsgType.TEXT:
+                        await messages.handle(message.data)
+                    elif message.type == WSMsgType.BINARY:
+                        viewer.notify(encode_message("answer", id=None, ok=False, error="a message is text, not bytes"))
+                    await asyncio.sleep(0)  # let others run, however much this page sends
+            finally:
+                del self._writers[viewer]
+                self.controller.leave(viewer)
         return socket
 
     def _send_soon(self, viewer: Viewer) -> None:
@@ -301,3 +258,69 @@ async def serve_viewer(
         yield [f"listening viewer {auth.address(host, port)}/?token={viewer_server.token}"]
     finally:
         await viewer_server.close()
+
+
+CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
+STUCK_S: Final = 5.0
+"""A simulation clock that has not ticked for this long is reported as stuck."""
+# -- metrics: nserver_WHAT in seconds and bytes, counters end in _total; no label contains an address -----------------
+
+GAUGE, COUNTER = "gauge", "counter"
+
+
+class Metric(NamedTuple):
+    """One metric."""
+
+    name: str
+    kind: str
+    help: str
+    value: float
+
+
+def all_metrics(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Metric]:
+    """Yield all metrics; `viewers` is the number of open pages, `tasks` of asyncio tasks."""
+    emulator, connected = daemon.emulator, [connection for connection in daemon.connections if connection.is_connected]
+    answered = daemon.closed_answered + sum(connection.session.answered for connection in connected)
+    refused = daemon.closed_refused + sum(connection.session.refused for connection in connected)
+    yield Metric("connections", GAUGE, "Clients and hosts that are connected.", len(connected))
+    yield Metric("turned_away_total", COUNTER, "Connections that were rejected.", daemon.admission.rejected)
+    yield Metric("answers_total", COUNTER, "Requests that were answered.", answered)
+    yield Metric("refusals_total", COUNTER, "Requests that were answered with an error.", refused)
+    cpu_s = daemon.closed_cpu_s + sum(connection.cpu_s for connection in connected)
+    yield Metric("cpu_seconds_total", COUNTER, "Processor time that requests have taken.", cpu_s)
+    yield Metric("viewers", GAUGE, "Pages that are open.", viewers)
+    yield Metric("robots", GAUGE, "Robots in the world.", len(emulator.simulation.robots))
+    yield Metric("obstacles", GAUGE, "Obstacles in the world.", len(emulator.simulation.world.obstacles))
+    yield Metric("shapes", GAUGE, "Client graphics in memory.", len(emulator.graphics.shapes))
+    yield Metric("simulated_seconds", GAUGE, "The simulation's clock.", emulator.simulation.time_s)
+    yield Metric("steps_total", COUNTER, "Steps of the simulation.", daemon.steps)
+    yield Metric("paused", GAUGE, "1 while simulated time is paused.", int(emulator.clock.paused))
+    yield Metric("lost_seconds_total", COUNTER, "Real time that the simulation did not catch up on.", daemon.lost_s)
+    yield Metric("tasks", GAUGE, "Asynchronous tasks, the one that answers this request included.", tasks)
+
+
+def metrics(daemon: Daemon, viewers: int, tasks: int) -> str:
+    """Return the metrics in the text format of Prometheus."""
+    return "".join(
+        f"# HELP nserver_{one.name} {one.help}\n# TYPE nserver_{one.name} {one.kind}\n"
+        f"nserver_{one.name} {one.value!r}\n"
+        for one in all_metrics(daemon, viewers, tasks)
+    ) + _connection_times(daemon)
+
+
+def _connection_times(daemon: Daemon) -> str:
+    """Return the processor time of each connection."""
+    name = "nserver_connection_cpu_seconds_total"
+    samples = sorted((one.number, one.cpu_s) for one in daemon.connections if one.is_connected)
+    head = f"# HELP {name} Processor time that the requests of a connection have taken.\n# TYPE {name} counter\n"
+    return head + "".join(f'{name}{{connection="{number}"}} {cpu_s!r}\n' for number, cpu_s in samples)
+
+
+def health(daemon: Daemon, now_s: float) -> tuple[bool, dict[str, Any]]:
+    """Return whether the daemon is healthy, and the body of the reply; `now_s` is the event loop's time."""
+    age_s = now_s - daemon.ticked_s
+    is_healthy = age_s < STUCK_S
+    return is_healthy, {
+        "status": "ok" if is_healthy else "clock stuck", "clock_age_s": round(age_s, 3),
+        "simulated_s": round(daemon.emulator.simulation.time_s, 3), "paused": daemon.emulator.clock.paused,
+    }  # fmt: skip

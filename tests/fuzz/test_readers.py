@@ -38,6 +38,7 @@ def test_valid_inputs_are_accepted(reader: Reader) -> None:
     assert max(map(len, seeds)) <= reader.max_size
 
 
+@pytest.mark.long
 @every_reader
 def test_any_input_gives_value_or_documented_error(reader: Reader) -> None:
     @settings(max_examples=40, derandomize=True, database=None)

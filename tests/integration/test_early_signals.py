@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.common.start import INTERRUPTED
 
 TIMEOUT_S = 60.0

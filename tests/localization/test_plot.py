@@ -31,6 +31,7 @@ def run() -> Run:
         return record_run(robot, CONFIG, [(0.0, 0.0), (30.0, 15.0)])
 
 
+@pytest.mark.long
 def test_recorded_run_reaches_its_waypoints_with_truth(run: Run) -> None:
     assert run.reached == 2
     assert run.errors_in().max() < 1.0
@@ -53,6 +54,7 @@ def test_plots_show_numbers_and_notebooks_show_plots(run: Run) -> None:
     assert pictures[3]._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 
+@pytest.mark.long
 def test_runs_without_truth_have_gaps(run: Run) -> None:
     blind = Run([], [moment._replace(truth=None) for moment in run.moments])
     assert np.isnan(plot.nees_values(blind)).all()
@@ -62,6 +64,7 @@ def test_runs_without_truth_have_gaps(run: Run) -> None:
     assert plot.trajectory(blind, ROOM).axes
 
 
+@pytest.mark.long
 def test_example_is_as_good_as_the_built_in_filter_on_the_same_drive() -> None:
     runs: dict[str, Run] = {name: Run([]) for name in ("ekf", OWN)}
     with connect("sim:thesis_room?noisy=1&seed=3&step_s=0.1") as robot:

@@ -152,6 +152,7 @@ def test_the_simulation_runs_in_this_process() -> None:
             robot.sleep(-1)
 
 
+@pytest.mark.long
 def test_sleeps_of_less_than_a_millisecond_add_up() -> None:
     with connect("sim:thesis_room?seed=1") as robot:
         begin_s = robot.refresh().clock_s
@@ -240,6 +241,7 @@ def test_the_environment_is_the_default_machine(
     assert dialled == [("lab", 1234)] * 2 + [("other", 7654), ("localhost", 7654)]
 
 
+@pytest.mark.long
 def test_a_simulation_is_a_machine_name() -> None:
     assert is_listening("sim:thesis_room", 7019)
     assert open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=1)).port > 0
@@ -286,6 +288,7 @@ def test_an_invalid_machine_address_is_rejected() -> None:
 # for asyncio
 
 
+@pytest.mark.long
 async def test_connect_async_can_be_awaited_or_entered() -> None:
     robot = await connect_async("sim:thesis_room")
     assert isinstance(robot, AsyncRobot)
@@ -295,6 +298,7 @@ async def test_connect_async_can_be_awaited_or_entered() -> None:
     assert entered.closed
 
 
+@pytest.mark.long
 def test_ignored_variable_is_reported_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

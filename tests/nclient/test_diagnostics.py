@@ -157,6 +157,7 @@ def test_percentiles_by_nearest_rank() -> None:
     assert [percentile_s([5, 1, 4, 2, 3], share) for share in (0.0, 0.2, 0.21, 0.5, 0.99, 1.0)] == [1, 1, 2, 3, 5, 5]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
 def test_simulated_robots_are_healthy(what: str) -> None:
     time = Time()
@@ -165,6 +166,7 @@ def test_simulated_robots_are_healthy(what: str) -> None:
     assert len({state.pose for state in chart.states}) == 1
 
 
+@pytest.mark.long
 def test_a_dead_sonar_of_a_simulated_robot() -> None:
     simulation = Simulation(load_world("thesis_room"))
     sonar = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05, dead=(5,))

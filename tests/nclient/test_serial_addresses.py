@@ -210,6 +210,7 @@ def test_is_listening_opens_and_closes_the_line(bench: Bench, monkeypatch: pytes
 # the same options elsewhere
 
 
+@pytest.mark.long
 def test_a_simulation_has_no_keep_alive_by_default() -> None:
     with connect("sim:thesis_room?max_speed_in_s=5") as robot:
         robot.drive(translation_in_s=20)
@@ -222,6 +223,7 @@ def test_a_simulation_has_no_keep_alive_by_default() -> None:
         assert robot.refresh().moving
 
 
+@pytest.mark.long
 def test_a_long_wait_outlasts_the_motion_timeout() -> None:
     with connect("sim:thesis_room?tm_s=2&start=-0,0,0,0&max_speed_in_s=5") as robot:
         robot.move(translation_in=40)

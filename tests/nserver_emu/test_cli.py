@@ -154,6 +154,7 @@ def test_ctrl_c_before_it_serves_ends_with_130(monkeypatch: pytest.MonkeyPatch) 
     assert cli.main(["--port", "0"]) == 130
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_where_signals_cannot_be_handled(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -225,6 +226,7 @@ def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.Cap
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_pages_and_bridges_end_before_the_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page that drives a real robot at Ctrl-C: its robot must still be there."""
     ended: list[str] = []
@@ -242,9 +244,9 @@ def test_pages_and_bridges_end_before_the_gateway(monkeypatch: pytest.MonkeyPatc
 
     async def serve(*_: object) -> None: ...
 
-    for name in ("run_gateway", "running_viewer", "running_rosbridge", "running_ros2"):
+    for name in ("run_gateway", "running_viewer", "running_ros"):
         record_end(name)
     monkeypatch.setattr(Daemon, "serve", serve)
     assert cli.main(["--port", "0"]) == 0
-    assert len(ended) == 4
+    assert len(ended) == 3
     assert ended[-1] == "run_gateway"

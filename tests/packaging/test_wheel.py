@@ -70,7 +70,7 @@ def test_sdist_has_exactly_the_tracked_files(distribution: tuple[Path, Path]) ->
 
 def test_a_clean_environment_without_extras(distribution: tuple[Path, Path], tmp_path: Path) -> None:
     environment = Environment(tmp_path / "clean")
-    environment.install(distribution[0])
+    environment.install_with_links(distribution[0])
     assert list(find_failures(environment, (), QUICK)) == []
     assert list(find_type_errors(environment, "{}.{}".format(*sys.version_info[:2]))) == []
 

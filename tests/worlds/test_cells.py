@@ -27,6 +27,7 @@ def segments(found: GridWalls) -> np.typing.NDArray[np.float64]:
     return np.concatenate([polyline_segments(line) for line in found.walls])
 
 
+@pytest.mark.long
 def test_room_of_cells_becomes_its_four_walls() -> None:
     found = walls_of_cells(grid("#####", "#...#", "#...#", "#####"), 1.8, min_cells=1)
     (line,) = found.walls

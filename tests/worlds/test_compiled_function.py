@@ -57,6 +57,7 @@ def test_enough_calls_load_what_is_on_disk(function: Loadable, is_on_disk: bool)
     assert function.loads == is_on_disk
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("is_used", "is_on_disk", "loads"), [(True, True, 1), (True, False, 0), (False, True, 0)])
 def test_an_event_loop_never_loads_later(function: Loadable, is_used: bool, is_on_disk: bool, loads: int) -> None:
     if is_on_disk:

@@ -70,6 +70,7 @@ def test_written_world_is_the_same(name: str) -> None:
     assert validate_world(world, 9.0) == []
 
 
+@pytest.mark.long
 def test_space_behind_a_closed_door_is_not_closed_off() -> None:
     assert validate_world(halves(DOOR), 9.0) == []
     assert validate_world(halves(DOOR.replace('[[door]]\nname = "gate"', "[[wall]]")), 9.0) != []

@@ -118,6 +118,7 @@ def test_inside_in_blocks_equals_each_point_alone(seed: int) -> None:
     assert (alone == np.column_stack([inside(points, outline) for outline in outlines])).all()
 
 
+@pytest.mark.long
 def test_edges_that_cross_in_a_large_outline_are_named() -> None:
     corners = star(3000)
     corners[10], corners[11] = corners[11], corners[10]
@@ -134,6 +135,7 @@ def test_an_outline_too_dense_to_be_checked_is_rejected(monkeypatch: pytest.Monk
 SQUARE = "[[room]]\ncorners_in = [[0, 0], [100, 0], [100, 100], [0, 100]]\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "named"),
     [

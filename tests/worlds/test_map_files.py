@@ -232,6 +232,7 @@ def test_dxf_drawing_with_blocks(tmp_path: Path) -> None:
     assert nearest_points(corner, world.walls)[1].min() < 1e-3
 
 
+@pytest.mark.long
 def test_dxf_layers_and_units(tmp_path: Path) -> None:
     path = dxf(tmp_path / "plan.dxf", "FT")
     world = read_map_file(path, ImportSettings(layers=("walls",))).world

@@ -374,6 +374,7 @@ def test_disc_behind_or_around_the_origin_and_no_disc() -> None:
     assert many.tolist() == [15.0, 20.0]
 
 
+@pytest.mark.long
 def test_scalar_disc_range_equals_array_exactly() -> None:
     rng = np.random.default_rng(12)
     discs = np.column_stack((rng.uniform(-50.0, 50.0, (200, 2)), rng.uniform(1.0, 20.0, 200)))

@@ -62,11 +62,13 @@ def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[
     assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.long
 def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 3
 
 
+@pytest.mark.long
 def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?start=20,30,90,45"
     words = ["--map", "thesis_room", "--waypoints", "21,40", "--start", "20.2,29.9,91", "--start-std", "0.3,0.3,2"]
@@ -76,12 +78,14 @@ def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]
     assert 0 < result["odometry_end_error_in"] < 1.0
 
 
+@pytest.mark.long
 def test_path_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--start-std=0.1,0.1,1", "--json"]
     assert localize("sim:", *words) == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 2
 
 
+@pytest.mark.long
 def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--time-limit", "2") == 3
     assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
@@ -250,6 +254,7 @@ def test_lost_estimate_is_not_saved_and_result_is_printed(
     assert "x.json: not written, the estimate is lost" in output.err
 
 
+@pytest.mark.long
 def test_time_limit_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
     assert capsys.readouterr().out.endswith("stopped: time limit exceeded: 1 s (--time-limit)\n")
@@ -278,6 +283,7 @@ def test_invalid_options_name_the_expected_form(
     assert expected in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
 def test_an_interrupted_run_is_saved_and_reported(
     ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
@@ -350,6 +356,7 @@ def test_a_wall_before_the_first_waypoint_is_refused(capsys: pytest.CaptureFixtu
     assert not re.search(r"^ +\d", captured.out, re.MULTILINE)
 
 
+@pytest.mark.long
 def test_a_bumper_that_closes_ends_the_run_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, "--map", "thesis_room", "--waypoints", "100,0") == 3
     assert "stopped: contact of bumpers " in capsys.readouterr().out
@@ -376,6 +383,7 @@ def test_the_origin_of_the_start_pose_is_stated(
     assert json.loads(capsys.readouterr().out)["start"] == source
 
 
+@pytest.mark.long
 def test_encoders_of_a_robot_that_drove_before_are_called_into_question(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

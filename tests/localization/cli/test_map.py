@@ -34,6 +34,7 @@ def room(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.long
 def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", room]) == 3
     lines = capsys.readouterr().out.splitlines()
@@ -45,6 +46,7 @@ def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixt
     assert found[0]["place_in"] == [100.0, 57.5]
 
 
+@pytest.mark.long
 def test_check_of_valid_map_reports_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["map", "check", "several_walls"]) == 0
     assert capsys.readouterr().out == "several_walls: 8 walls, no problems\n"

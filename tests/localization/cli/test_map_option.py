@@ -70,6 +70,7 @@ def test_every_command_requires_map_before_connecting(
     assert "a map is required: --map WORLD" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_simulation_is_localized_in_its_own_walls(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["localize", "sim:thesis_room?seed=1", "--waypoints", "5,0"]) == 0
     assert "reached" in capsys.readouterr().out

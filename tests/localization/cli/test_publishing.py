@@ -29,7 +29,7 @@ from tests.localization.viewer_stub import page_that
 def a_moment(truth: tuple[float, float, float] | None = None) -> RunMoment:
     belief = Belief(np.array([1.0, 2.0, 0.5]), np.diag([0.1, 0.2, 0.3]))
     echoes = (Echo(3, 1.2, 40, Refusal.NONE, -0.5, 2.5), Echo(4, 1.3, 255, Refusal.LIMIT, 0.0))
-    return RunMoment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1)
+    return RunMoment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1, 0.65)
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
 
 
 def test_message_of_a_moment() -> None:
-    text = build_message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
+    text = build_message(2, a_moment((1, 2, 3)), [(5, 6)])
     assert json.loads(json.dumps(text)) == {
         "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
         "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
@@ -51,14 +51,14 @@ def test_message_of_a_moment() -> None:
         ],
         "waypoints": [[5, 6]], "passed": 1, "trust": "OK", "reason": "", "places": [],
     }  # fmt: skip
-    assert build_message(1, a_moment(), 0.0, [])["truth"] is None
+    assert build_message(1, a_moment(), [])["truth"] is None
 
 
 def test_health_and_hypotheses_are_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
-    text = build_message(1, moment._replace(estimate=moment.estimate._replace(health=verdict, places=places)), 0.0, [])
+    text = build_message(1, moment._replace(estimate=moment.estimate._replace(health=verdict, places=places)), [])
     assert (text["trust"], text["reason"]) == ("LOST", "2 places look alike")
     assert text["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
     assert len(text["places"]) == MAX_HYPOTHESES
@@ -67,7 +67,7 @@ def test_health_and_hypotheses_are_published() -> None:
 def test_message_of_longer_state_has_its_pose() -> None:
     moment = a_moment()
     longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
-    text = build_message(1, moment._replace(estimate=moment.estimate._replace(belief=longer)), 0.0, [])
+    text = build_message(1, moment._replace(estimate=moment.estimate._replace(belief=longer)), [])
     assert text["pose"] == [1, 2, 0.5]
     assert text["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 

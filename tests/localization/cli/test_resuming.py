@@ -60,6 +60,7 @@ def localize(lasting: Lasting, capsys: pytest.CaptureFixture[str]) -> Localize:
     return run
 
 
+@pytest.mark.long
 def test_resumed_run_starts_from_saved_belief(localize: Localize, lasting: Lasting, tmp_path: Path) -> None:
     file = str(tmp_path / "here.json")
     assert localize("--waypoints", "20,30", "--save", file)[0] == 0
@@ -76,6 +77,7 @@ def test_resumed_run_starts_from_saved_belief(localize: Localize, lasting: Lasti
     assert after.encoders.clock_s > saved.encoders.clock_s
 
 
+@pytest.mark.long
 def test_resumed_run_includes_motion_in_between(
     localize: Localize, lasting: Lasting, tmp_path: Path
 ) -> None:
@@ -88,6 +90,7 @@ def test_resumed_run_includes_motion_in_between(
     assert json.loads(out)["end_error_in"] < 1.0
 
 
+@pytest.mark.long
 def test_reset_encoders_need_displacement_std(
     localize: Localize, lasting: Lasting, tmp_path: Path
 ) -> None:
@@ -117,6 +120,7 @@ def test_reset_encoders_need_displacement_std(
     assert len(saved_estimate.load(Path(file)).belief.mean) == 5
 
 
+@pytest.mark.long
 def test_another_world_is_refused(localize: Localize, tmp_path: Path) -> None:
     file = str(tmp_path / "here.json")
     localize("--waypoints", "20,30", "--save", file)

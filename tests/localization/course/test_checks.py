@@ -33,6 +33,7 @@ ANSWERS: dict[str, Callable[..., Any]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", all_tasks())
 def test_solution_passes(name: str) -> None:
     for seed in SEEDS:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.course.grading import Limits, grade
-from localization.course.submission import SubmissionError, names, statements, tasks_of
+from localization.course.grading import Limits, SubmissionError, grade, names, statements, tasks_of
 from nclient.cli.main import main
 from tests.docs.pages import DOCS
 from tests.localization.course.test_checks import ANSWERS

@@ -43,6 +43,7 @@ def test_people_get_a_table_and_files(
     assert "live.png" in printed
 
 
+@pytest.mark.long
 def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert experiments.main(["live", *SHORT, "--jobs", "1", "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     printed, output = capsys.readouterr()
@@ -61,6 +62,7 @@ def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
     assert [{**row, "step_us": 0} for row in rows[0]] == [{**row, "step_us": 0} for row in rows[1]]
 
 
+@pytest.mark.long
 def test_cached_trials_are_not_repeated(tmp_path: Path) -> None:
     store, crew, tallies = trial_cache(tmp_path, "code"), Executor(), list[int]()
     collect(WANTED[:2], store, None, crew, tallies.append)
@@ -72,6 +74,7 @@ def test_cached_trials_are_not_repeated(tmp_path: Path) -> None:
     assert len(crew.jobs) == 3
 
 
+@pytest.mark.long
 def test_interrupted_run_keeps_finished_trials(tmp_path: Path) -> None:
     def interrupted(jobs: Sequence[TrialJob]) -> Iterator[FinishedTrial]:
         yield live_trial.run(jobs[0])

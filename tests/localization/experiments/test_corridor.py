@@ -9,7 +9,7 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import corridor
-from localization.experiments.residuals import Echoes, fit_walls, residual_statistics
+from localization.experiments.corridor import Echoes, fit_walls, residual_statistics
 from localization.filters.odometry import OdometryNoise, relative_step
 from localization.live.log import new_echoes
 from nclient.cli.main import main as nomad
@@ -79,6 +79,7 @@ def test_degraded_odometry_has_the_stated_errors(tmp_path: Path, monkeypatch: py
     assert rows[-1].truth == pytest.approx(tuple(made.poses[-1]))
 
 
+@pytest.mark.long
 def test_the_command_prints_a_table_and_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made_data(tmp_path)
     arguments = ["corridor", "--data", str(tmp_path), "--rows", "0,59", "--seeds", "2"]

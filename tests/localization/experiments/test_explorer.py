@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple
 
 import numpy as np
 
 from localization.experiments.lost_trial import RandomExplorer
+from localization.live.sensor_input import SensorData
 from localization.navigation.limits import STAND, VelocityCommand
 from localization.navigation.recovery import TURN_RAD_S
 from localization.navigation.roadmap import Roadmap
@@ -16,13 +16,6 @@ from worlds.geometry import polygon_segments
 
 ROOM = polygon_segments([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
 GOAL = np.array([[80.0, 20.0]])
-
-
-class Ring(NamedTuple):
-    sonars_in: tuple[int, ...]
-    steering_rad: float = 1.0
-    turret_rad: float = 1.0
-    touching: bool = False
 
 
 def explorer(places: np.typing.NDArray[np.float64] = GOAL) -> RandomExplorer:
@@ -49,5 +42,5 @@ def test_lost_explorer_recovers_then_replans() -> None:
     one = explorer()
     one.command(np.array([20.0, 20.0, 0.0]))
     assert one.command(np.array([20.0, 20.0, 0.0])) == VelocityCommand(5.0, 0.0)
-    assert one.recover(Ring((255,) * 16)) == VelocityCommand(0.0, TURN_RAD_S)
+    assert one.recover(SensorData(0.0, 0.0, 0.0, 1.0, 1.0, (255,) * 16)) == VelocityCommand(0.0, TURN_RAD_S)
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND

@@ -55,6 +55,7 @@ def test_plot_without_filter_has_odometry_and_3_sigma() -> None:
     assert "3 sigma" in drawn
 
 
+@pytest.mark.long
 def test_error_plot_is_estimate_minus_truth() -> None:
     track = made_up_track()
     picture = output.errors(FIGURES["5.4"], [track, made_up_track(1)], track)

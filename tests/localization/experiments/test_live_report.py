@@ -39,6 +39,7 @@ def test_people_read_a_line_a_cell() -> None:
     assert len(heads) == len(good) == len(nothing)
 
 
+@pytest.mark.long
 def test_files_hold_the_same_rows(tmp_path: Path) -> None:
     written = write(MATRIX, tmp_path / "new", picture=True)
     assert [path.name for path in written] == ["live.csv", "live.json", "live.png"]

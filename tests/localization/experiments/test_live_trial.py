@@ -32,6 +32,7 @@ def test_trial_drives_and_estimate_stays_near_truth(scenario: str) -> None:
     assert record.spent_s.tolist() == [0.0] * PERIODS
 
 
+@pytest.mark.long
 def test_same_seed_gives_the_same_run() -> None:
     one, again, other = (drive(SCENARIOS["measured"], "5.4", seed, 15) for seed in (1, 1, 2))
     assert (one.mean == again.mean).all()
@@ -39,12 +40,14 @@ def test_same_seed_gives_the_same_run() -> None:
     assert not (one.mean == other.mean).all()
 
 
+@pytest.mark.long
 def test_a_trial_ends_at_the_last_goal() -> None:
     record = drive(SCENARIOS["exact"], "5.4", 0)
     assert record.reached
     assert 100 < len(record.mean) < 300
 
 
+@pytest.mark.long
 def test_the_timer_is_asked_before_and_after_each_estimate() -> None:
     ticks = iter(range(1000))
     record = drive(SCENARIOS["exact"], "5.4", 0, 10, lambda: float(next(ticks)))

@@ -17,6 +17,7 @@ from localization.experiments.figure_trial import FIGURES, Summary
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
 
+@pytest.mark.long
 def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     output, errors = capsys.readouterr()
@@ -78,6 +79,7 @@ def test_help_of_all_lists_runs_and_option_placement(capsys: pytest.CaptureFixtu
     assert "live --scenario exact" in text
 
 
+@pytest.mark.long
 def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ DRIVEN = DriveResult("thesis_room", 0, "done", "", False, 2.0, 0.4, 50.0, 50.5, 
 OTHERS = [world for world in WORLDS if world != "thesis_room"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_pairs_have_room_are_apart_and_differ(world: str) -> None:
     drawn = [ends_of(DrivePair(world, number, "noisy")) for number in range(100)]

@@ -110,6 +110,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("word", "on_disk", "stderr", "wanted"),
     [

@@ -51,6 +51,7 @@ def test_a_correction_is_that_of_the_linear_kalman_filter(seed: int, size: int) 
     assert found == pytest.approx(nis)
 
 
+@pytest.mark.long
 def test_a_whole_run_is_that_of_filterpy() -> None:
     """Predictions with filterpy's own product, corrections as sixteen scalar updates one after another."""
     from filterpy.kalman import KalmanFilter
@@ -91,6 +92,7 @@ def test_a_step_of_nothing_changes_nothing() -> None:
     assert still.cov == pytest.approx(belief.cov, abs=1e-18)
 
 
+@pytest.mark.long
 def test_the_spread_of_drawn_robots_is_the_one_predicted() -> None:
     rng = np.random.default_rng(14)
     noise = OdometryNoise(0.02, 0.02, 0.001)

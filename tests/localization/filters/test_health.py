@@ -6,7 +6,7 @@ from math import exp, log
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import gamma, norm, poisson
 
 from localization.filters.belief import independent
 from localization.filters.health import (
@@ -14,8 +14,11 @@ from localization.filters.health import (
     DISPLACEMENTS_IN,
     HEALTHY,
     MAX_GAIN_NATS,
+    MAX_NATS_OF_ONE_SIDE,
     MAX_NIS,
     MAX_SIDE_NATS,
+    MAX_SLIP_PROBABILITY,
+    ROUNDS_PER_SLIP,
     HealthLimits,
     HealthStatus,
     IntegrityMonitor,
@@ -48,6 +51,7 @@ def test_evidence_falls_from_its_maximum_within_limits() -> None:
     assert monitor.health(SHARP.cov) == HEALTHY
 
 
+@pytest.mark.long
 def test_false_alarms_are_no_more_frequent_than_walds_bound() -> None:
     """Readings that really come from the estimate: two gaussians a standard deviation apart, in place of ranges."""
     rng, alarms, readings = np.random.default_rng(5), 0, 20_000
@@ -120,7 +124,7 @@ def test_falling_evidence_or_few_matches_are_suspicious() -> None:
 
 # A slip of the wheels.
 
-SLIPPING = HealthLimits(slip_nats=6.0, suspect_nats=3.5)
+SLIPPING = HealthLimits(slip_nats=6.0)
 
 
 def densities_ratio(innovation: float, std: float, shift: float) -> float:
@@ -130,6 +134,7 @@ def densities_ratio(innovation: float, std: float, shift: float) -> float:
     return max(float(shifted), floor) - max(float(expected), floor)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shift", [-5.0, -1.3, 0.4, 3.0])
 @pytest.mark.parametrize("innovation", [-2.9, -0.3, 0.7, 1.6, 4.0])
 def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: float) -> None:
@@ -138,6 +143,7 @@ def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: flo
     assert displacement_evidence(innovation, nis, shift) == pytest.approx(densities_ratio(innovation, std, shift))
 
 
+@pytest.mark.long
 def test_slip_test_is_the_cusum_of_each_displacement() -> None:
     """Sums written out, of all displacements and both sides, for readings of a robot that is 2 in behind from half."""
     rng, std, test = np.random.default_rng(2), 0.8, SlipTest()
@@ -149,7 +155,8 @@ def test_slip_test_is_the_cusum_of_each_displacement() -> None:
             gain = min(densities_ratio(innovation, std, slope * displacement), MAX_GAIN_NATS) - ALLOWANCE_NATS
             one = sums[int(slope > 0.0), j] + gain
             sums[int(slope > 0.0), j] = min(max(0.0, one), MAX_SIDE_NATS)
-        assert test.evidence_nats == pytest.approx(sums.sum(axis=0).max())
+        best = int(sums.sum(axis=0).argmax())
+        assert test.evidence_nats == pytest.approx(np.minimum(sums, MAX_NATS_OF_ONE_SIDE)[:, best].sum())
     assert test.evidence_nats > SLIPPING.slip_nats
     assert test.displacement_in == -2.0
 
@@ -186,13 +193,54 @@ def test_something_unmapped_on_one_side_is_no_slip() -> None:
     assert "slipped" in monitor.health(np.eye(3)).reason
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bad", [0.0, 0.2])
 def test_consistent_or_bad_readings_seldom_mean_a_slip(bad: float) -> None:
     """Readings of a consistent filter; then a fifth of them anywhere, which agree on no displacement."""
     rng, monitor = np.random.default_rng(3), IntegrityMonitor(SLIPPING)
-    slips, std = 0, 0.6
+    slips, suspected, std = 0, 0, 0.6
     for angle in rng.uniform(0.0, 2.0 * np.pi, 10_000).tolist():
         innovation = std * float(rng.standard_normal()) if rng.random() >= bad else float(rng.uniform(-30.0, 200.0))
         monitor.slip.add(innovation, (innovation / std) ** 2, float(np.cos(angle)))
+        suspected += monitor.slip.slipped[0] > MAX_SLIP_PROBABILITY
         slips += monitor.take_slip() is not None
     assert slips <= 10
+    assert suspected <= 50
+
+
+def test_probability_of_a_slip_is_by_bayes_rule() -> None:
+    """Three readings after a slip by 3 in, densities by scipy, among slips by each displacement and none."""
+    test, std, slopes = SlipTest(), 1.0, [-0.9, -0.4, -0.6]
+    innovations = [-3.0 * slope for slope in slopes]
+    for innovation, slope in zip(innovations, slopes, strict=True):
+        test.add(innovation, (innovation / std) ** 2, slope)
+    weights = []
+    for displacement in DISPLACEMENTS_IN:
+        nats = 0.0
+        for innovation, slope in zip(innovations, slopes, strict=True):
+            gain = min(densities_ratio(innovation, std, slope * displacement), MAX_GAIN_NATS) - ALLOWANCE_NATS
+            nats = min(max(0.0, nats + gain), MAX_SIDE_NATS)
+        weights.append((exp(nats) - 1.0) / len(DISPLACEMENTS_IN) / (ROUNDS_PER_SLIP + 3 / 16))
+    posterior = np.array(weights) / (1.0 + sum(weights))
+    probability, squared_in2 = test.slipped
+    assert probability == pytest.approx(posterior.sum())
+    assert squared_in2 == pytest.approx(posterior @ np.square(DISPLACEMENTS_IN))
+    # Too little for DEGRADED, enough to widen what is reported.
+    assert 0.01 < probability < MAX_SLIP_PROBABILITY
+
+
+def test_wheels_that_slipped_are_expected_to_slip_again() -> None:
+    """The mean of the rate given its slips, by integration of prior times the Poisson probability of the count."""
+    test, rounds, slips = SlipTest(), 120.0, 4
+    for _ in range(slips):
+        test.count()
+    for _ in range(int(16 * rounds) - 1):
+        test.add(0.0, 0.0, 1.0)
+    test.add(1.9, 3.61, 1.0)
+    rates = np.linspace(0.0, 1.0, 200_001)
+    weights = gamma.pdf(rates, 1.0, scale=1.0 / ROUNDS_PER_SLIP) * poisson.pmf(slips, rates * rounds)
+    alone = SlipTest()
+    alone.add(1.9, 3.61, 1.0)
+    # The same reading, at the rate learned and at the first.
+    odds, first = (p / (1.0 - p) for p in (test.slipped[0], alone.slipped[0]))
+    assert odds / first == pytest.approx((weights @ rates) / weights.sum() * (ROUNDS_PER_SLIP + 1 / 16), rel=1e-4)

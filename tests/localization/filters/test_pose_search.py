@@ -125,6 +125,7 @@ def test_hypotheses_are_weighed_by_a_share_of_the_evidence() -> None:
     assert np.hypot(*(found[0].belief.mean[:2] - (40.0, 30.0))) < 1.0
 
 
+@pytest.mark.long
 def test_a_prior_selects_among_places_that_look_alike() -> None:
     truth = (40.0, 30.0, 0.2)
     records, table, replay = ring_at(ROOM, truth), table_of(ROOM), replay_of(ROOM)
@@ -135,6 +136,7 @@ def test_a_prior_selects_among_places_that_look_alike() -> None:
     assert np.hypot(*(found.belief.mean[:2] - truth[:2])) < 1.0
 
 
+@pytest.mark.long
 def test_known_hypotheses_keep_their_weights_in_a_new_search() -> None:
     records, table, replay = ring_at(ROOM, (40.0, 30.0, 0.2)), table_of(ROOM), replay_of(ROOM)
     four = search(records, table, replay)

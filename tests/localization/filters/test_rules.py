@@ -167,6 +167,7 @@ def test_all_rules_agree_for_linear_range(rule: Rule) -> None:
         np.testing.assert_allclose(np.array(mine), np.array(theirs), atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reading", [4.5, 5.6])
 def test_the_density_of_a_reading_is_that_of_drawn_states(reading: float) -> None:
     """Against draws from the belief: each rule's density is within a tenth of what they average to."""

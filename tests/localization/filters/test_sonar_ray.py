@@ -54,6 +54,7 @@ def some_poses(count: int) -> Floats:
     return np.column_stack([rng.uniform(0, 90, count), rng.uniform(0, 90, count), rng.uniform(-3, 3, count)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turret_rad", [0.0, 0.3, 0.8])
 def test_ranges_are_those_of_the_ray_caster(turret_rad: float) -> None:
     poses = some_poses(200)
@@ -328,6 +329,7 @@ def test_a_beam_in_numbers_is_that_in_arrays(walls: WallMap) -> None:
     assert (reasons.count(Refusal.NO_WALL) > 20) == (walls is OPEN)
 
 
+@pytest.mark.long
 def test_a_live_reading_is_judged_as_in_arrays() -> None:
     model, rng = RayModel(WALLS.segments, N150, WIRE_SONAR), np.random.default_rng(2)
     reasons = []

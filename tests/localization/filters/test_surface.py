@@ -68,6 +68,7 @@ def test_probabilities_follow_the_distance() -> None:
     assert same + new == pytest.approx(alone)
 
 
+@pytest.mark.long
 def test_a_standing_robot_learns_from_one_echo_only() -> None:
     localizer = surface_filter([0.0, 0.0, 0.0], [2.0, 2.0, 0.01])
     localizer.update(LEFT, 0.0, 30.9)

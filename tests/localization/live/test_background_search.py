@@ -161,6 +161,7 @@ def test_stored_table_is_read_again_and_equal(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
 
 
+@pytest.mark.long
 def test_damaged_tables_are_built_again_and_old_ones_removed(tmp_path: Path) -> None:
     load_or_build(CONFIG, tmp_path, lambda _: None)
     (stored,) = tmp_path.glob("*.npz")
@@ -177,6 +178,7 @@ def test_damaged_tables_are_built_again_and_old_ones_removed(tmp_path: Path) -> 
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.long
 def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert len(load_or_build(CONFIG, tmp_path / "file", lambda _: None).ranges_in)
@@ -223,6 +225,7 @@ def test_worker_ends_with_its_user_in_the_middle_of_its_work(tmp_path: Path) -> 
     assert not any(process.is_alive() for process in processes)
 
 
+@pytest.mark.long
 def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     belief = independent(START, (0.2, 0.2, 0.01))

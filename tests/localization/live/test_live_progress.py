@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from localization.live import progress
+from nclient.common import process
 
 
 class Terminal(io.StringIO):
@@ -17,8 +17,8 @@ class Terminal(io.StringIO):
 def test_seconds_are_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
-    monkeypatch.setattr(progress, "PERIOD_S", 0.001)
-    with progress.show_seconds("compiling"):
+    monkeypatch.setattr(process, "PROGRESS_S", 0.001)
+    with process.show_seconds("compiling"):
         while not terminal.getvalue():
             pass
     assert terminal.getvalue().startswith("\rcompiling: 0 s")
@@ -28,6 +28,6 @@ def test_seconds_are_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_short_work_and_pipes_show_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     for stderr in (Terminal(), io.StringIO()):
         monkeypatch.setattr("sys.stderr", stderr)
-        with progress.show_seconds("compiling"):
+        with process.show_seconds("compiling"):
             pass
         assert not stderr.getvalue()

@@ -52,6 +52,7 @@ def localizer(belief: Belief | None = None) -> Localizer:
     return Localizer(LocalizationConfig(ROOM, N150), start, FiringSchedule(0.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turret_rad", [0.0, 1.0, -2.5])
 @pytest.mark.parametrize("speed_in_s", [0.0, 5.0])
 def test_wrong_start_is_corrected_while_driving(speed_in_s: float, turret_rad: float) -> None:
@@ -119,6 +120,7 @@ def test_odometry_predicts_to_the_clock_of_the_state() -> None:
         assert estimate.pose[:2] == pytest.approx(robot.pose(0.1 * k), abs=0.4)
 
 
+@pytest.mark.long
 def test_a_smoothing_method_reports_a_past_belief() -> None:
     robot = Robot(5.0)
     belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])

@@ -32,6 +32,7 @@ def test_unmoved_robot_keeps_its_belief() -> None:
     assert (resumed.cov == SAVED.belief.cov).all()
 
 
+@pytest.mark.long
 def test_driven_robot_has_consistent_belief() -> None:
     """Out and home again by random winding paths: the truth lies as the covariance states, or nearer."""
     rng = np.random.default_rng(5)

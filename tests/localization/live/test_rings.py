@@ -115,6 +115,7 @@ def localized(words: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "setup", "rmse_in"), [
     ("corridor8", "noisy", 0.5), ("corridor8", "measured", 0.5), ("ring24", "noisy", 0.3), ("ring24", "measured", 0.3),
 ])  # fmt: skip

@@ -21,6 +21,7 @@ def finder(name: str) -> AliasFinder:
     return AliasFinder(world.walls, N150.radius_in, [(start.x_in, start.y_in) for start in world.starts])
 
 
+@pytest.mark.long
 def test_a_pose_in_the_corridor_looks_like_those_at_other_doors() -> None:
     here = np.array([787.4, 39.4, 0.5])
     found = finder("corridor").aliases(here)
@@ -45,6 +46,7 @@ def test_ends_of_the_corridor_and_rooms_of_the_flat_are_unique() -> None:
     assert not find_aliases(flat, np.column_stack((flat.samples(12), np.zeros(12))))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("turn", "max_grid"), [(0.0, 4000), (2.0, 4000), (2.0, 20)])
 def test_a_rotated_copy_of_a_room_is_found(turn: float, max_grid: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two rooms that are apart: the same walls, moved and turned; also on the coarse grid of a large floor."""

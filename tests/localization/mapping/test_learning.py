@@ -41,6 +41,7 @@ def room(estimate: MapEstimate) -> LearnedMap:
     return describe(estimate)
 
 
+@pytest.mark.long
 def test_room_has_its_four_walls_and_size(room: LearnedMap) -> None:
     assert len(room.walls) == 4
     np.testing.assert_allclose(distances(room), (120.0, 100.0), atol=0.8)
@@ -102,12 +103,14 @@ def test_derivative_of_an_end_agrees_with_differences() -> None:
     assert end_derivative(walls, points, 0, np.array((500.0, 500.0))) is None
 
 
+@pytest.mark.long
 def test_same_drive_gives_the_same_file_to_the_bit(room: LearnedMap) -> None:
     again = learn(drive(1))
     assert format_world(again.world("room")) == format_world(room.world("room"))
     assert again.as_json() == room.as_json()
 
 
+@pytest.mark.long
 def test_map_does_not_depend_on_the_encoders_frame(room: LearnedMap) -> None:
     log = drive(1)
     c, s = np.cos(1.1), np.sin(1.1)
@@ -122,6 +125,7 @@ def test_map_does_not_depend_on_the_encoders_frame(room: LearnedMap) -> None:
         np.testing.assert_allclose(wall.ends, other.ends, atol=0.02)
 
 
+@pytest.mark.long
 def test_offsets_of_the_sonars_are_found(room: LearnedMap) -> None:
     offsets: Floats = np.random.default_rng(7).normal(0.0, 1.0, 16)
     offsets = (offsets - offsets.mean()) / offsets.std()
@@ -134,6 +138,7 @@ def test_offsets_of_the_sonars_are_found(room: LearnedMap) -> None:
     assert np.std(room.calibration.offsets_in) < 0.35
 
 
+@pytest.mark.long
 def test_faces_of_a_thick_wall_stay_apart() -> None:
     wall = ((36.0, 47.5), (84.0, 47.5), (84.0, 52.5), (36.0, 52.5))
     found = learn(drive(2, outlines=(ROOM, wall)))
@@ -207,6 +212,7 @@ def test_recorded_drive_becomes_a_map_that_localizes(
     assert out.read_text() == first
 
 
+@pytest.mark.long
 def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # Readings of a cone taken for rays and odometry declared perfect: four walls that explain 75 % of the ranges, with
     # a chi-square of 1.3 per degree of freedom and sides of 114 to 117 in.

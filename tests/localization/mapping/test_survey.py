@@ -97,6 +97,7 @@ def standing_rounds(log: DriveLog, seed: int, moved: tuple[float, float, float],
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bad", [0.0, 0.2])
 def test_robot_that_stands_where_it_stood_fits(bad: float) -> None:
     log = drive(quiet=True)
@@ -108,6 +109,7 @@ def test_robot_that_stands_where_it_stood_fits(bad: float) -> None:
         assert not compare_rounds(log, standing_rounds(log, seed, (0.0, 0.0, 0.0), bad), ConeSonar()).has_moved
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("moved", [(9.0, 0.0, 0.0), (0.0, -9.0, 0.0), (-6.0, 7.0, 0.0), (40.0, -30.0, 2.0)])
 def test_robot_that_was_moved_does_not_fit(moved: tuple[float, float, float]) -> None:
     log = drive(quiet=True)
@@ -193,6 +195,7 @@ def test_drive_ends_when_the_clock_goes_back() -> None:
     assert robot.states == 21
 
 
+@pytest.mark.long
 def test_drive_ends_when_the_robot_does_not_move() -> None:
     step, robot = surveyed("sim:thesis_room?setup=measured&seed=4&step_s=0.1", unchanged, has_motors=False)
     assert "does not move" in step.ended
@@ -241,6 +244,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_drive_publishes_its_map_as_it_grows(driven: Path) -> None:
     messages = json.loads((driven / "published.json").read_text())
     assert messages[0]["began"]
@@ -265,6 +269,7 @@ def test_live_drive_and_its_recording_give_the_same_map(
     assert json.loads(capsys.readouterr().out)["refused"] is None
 
 
+@pytest.mark.long
 def test_drive_goes_on_where_it_stopped(driven: Path) -> None:
     before = read_drive(driven / "room.log")
     both = read_drive(driven / "room.log", driven / "room.log")
@@ -309,6 +314,7 @@ def test_resumed_drive_waits_for_a_turn_of_the_ring(tmp_path: Path, capsys: pyte
     assert clocks[-1] - clocks[0] > 900
 
 
+@pytest.mark.long
 def test_collector_ignores_states_that_are_old(driven: Path) -> None:
     collector = DriveCollector("n150", read_drive(driven / "room.log"))
     count = len(collector)
@@ -317,6 +323,7 @@ def test_collector_ignores_states_that_are_old(driven: Path) -> None:
     assert len(collector) == count
 
 
+@pytest.mark.long
 def test_blocked_way_point_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?setup=measured&seed=4&start=80,80,0"
     code = learn(address, "--waypoints", "40,0", "--out", str(tmp_path / "room.toml"), "--speed", "9")

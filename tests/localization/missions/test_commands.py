@@ -38,6 +38,7 @@ GUESS = "assuming that sonars measure exact rays, as this is a simulation (with 
 SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
+@pytest.mark.long
 def test_go_arrives_reports_of_each_second_and_reports(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["go", SIM, "--to", "20,12", "--speed", "8", "--within", "2", "--time-limit", "60"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -70,6 +71,7 @@ def test_go_refuses_invalid_options_like_a_mission(
     assert expected in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_start_option_and_robot_of_address(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?robot=scout&start=40,40,90"
     assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
@@ -104,6 +106,7 @@ def test_unwritable_report_is_reported(
     assert "done" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_go_resumes_saved_estimate_with_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,6 +175,7 @@ def test_failed_stop_does_not_hide_the_cause() -> None:
     assert robot.stopped == 2
 
 
+@pytest.mark.long
 def test_failing_program_stops_robot_and_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

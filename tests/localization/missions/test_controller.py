@@ -13,6 +13,7 @@ from nclient.errors import BumperHit, ConnectionLost
 MakeController = Callable[..., RobotController]
 
 
+@pytest.mark.long
 def test_period_drives_and_notifies_observers(controller_at: MakeController) -> None:
     controller, clocks = controller_at("thesis_room"), []
     controller.observers.append(lambda sight: clocks.append(sight.estimate.clock_s))
@@ -29,6 +30,7 @@ def test_period_drives_and_notifies_observers(controller_at: MakeController) -> 
     assert controller.robot.refresh().translation_in_s == 0.0
 
 
+@pytest.mark.long
 def test_rare_states_limit_distance_between_two_states(controller_at: MakeController) -> None:
     controller = controller_at("thesis_room", step_s=0.55)
     distances_in = [controller.period(VelocityCommand(5.0, 0.0)).state.x_in for _ in range(6)]

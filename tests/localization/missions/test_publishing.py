@@ -33,6 +33,7 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
         yield url, output
 
 
+@pytest.mark.long
 def test_go_publishes_goal_estimate_and_truth_each_period() -> None:
     with a_page() as (url, output):
         assert main(["go", SIM, "--to", "20,12,90", "--speed", "8", "--publish", url]) == 0
@@ -60,6 +61,7 @@ def test_localize_that_stays_needs_no_path_point_of_its_own(capsys: pytest.Captu
     assert "1 of 1 waypoints reached" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_mission_shows_as_well(tmp_path: Path) -> None:
     file = tmp_path / "m.toml"
     file.write_text('map = "thesis_room"\n[[step]]\ndo = "turn"\nby_deg = 30\n')

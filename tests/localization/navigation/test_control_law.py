@@ -50,6 +50,7 @@ def test_no_step_is_beyond_its_limits(pose: tuple[float, ...], goal: tuple[float
     assert abs(dtheta) <= GAINS.dtheta_max_rad
 
 
+@pytest.mark.long
 def test_without_noise_the_law_arrives_from_any_side() -> None:
     angles = np.linspace(-math.pi, math.pi, 9)
     goals = 20.0 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -59,6 +60,7 @@ def test_without_noise_the_law_arrives_from_any_side() -> None:
     assert is_reached(poses, goals, 0.25).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("distance", [1.5, 5.0, 20.0])
 def test_slowed_robot_stays_near_the_straight_leg(distance: float) -> None:
     """From any direction the robot arrives, and leaves the leg by no more than the circle that touches it."""

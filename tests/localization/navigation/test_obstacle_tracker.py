@@ -39,6 +39,7 @@ def test_repeated_readings_confirm_obstacle_at_their_place() -> None:
     assert atan2(y2 - y1, x2 - x1) == pytest.approx(0.32 + pi / 2.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_mapped_walls_and_second_echoes_confirm_nothing() -> None:
     """Exact ranges of rays, and longer ones as second echoes are, from many places."""
     obstacles, rng = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)

@@ -28,6 +28,7 @@ def walked(element: PathElement, along: float, steps: int = 20_000) -> tuple[flo
     return x, y, heading
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("curvature", [0.08, -0.15, 0.0])
 def test_a_leg_is_where_small_steps_lead(curvature: float) -> None:
     element = ARC._replace(curvature=curvature)
@@ -35,6 +36,7 @@ def test_a_leg_is_where_small_steps_lead(curvature: float) -> None:
         assert element.at(along) == pytest.approx((*walked(element, along), curvature), abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("curvature", [0.08, -0.15, 0.0, 0.2])
 def test_nearest_point_of_element_agrees_with_sampling(curvature: float) -> None:
     element, rng = ARC._replace(curvature=curvature), np.random.default_rng(5)

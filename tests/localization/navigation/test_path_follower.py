@@ -11,7 +11,7 @@ from localization.filters.belief import Floats
 from localization.navigation.limits import MODEL_LIMITS, STAND
 from localization.navigation.path import PathElement, PathSection, line_between, split_into_sections
 from localization.navigation.path_follower import PathFollower, turn_command
-from localization.navigation.planner import Planner
+from localization.navigation.roadmap import Planner
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -37,6 +37,7 @@ def drive(follower: PathFollower, pose: Floats, periods: int = 2000, share: floa
     return np.array(poses)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("goal", [(90.0, 55.0), (90.0, 0.0), (40.0, 90.0)])
 def test_follower_keeps_to_plan_and_stops_at_its_end(goal: tuple[float, float]) -> None:
     planner = Planner(np.array(load_world("several_walls").walls), N150.radius_in)

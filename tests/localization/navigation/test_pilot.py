@@ -16,7 +16,7 @@ from localization.navigation.limits import MODEL_LIMITS, STAND
 from localization.navigation.obstacles import ObstacleTracker
 from localization.navigation.path import wall_distances
 from localization.navigation.pilot import Ending, Pilot, RetryPolicy
-from localization.navigation.planner import MARGINS_IN, Planner
+from localization.navigation.roadmap import MARGINS_IN, Planner
 from nclient.protocol.types import N150 as MODEL
 from nclient.state import RobotState
 from worlds.io import load_world

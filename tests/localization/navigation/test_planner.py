@@ -7,8 +7,7 @@ import pytest
 
 from localization.navigation.limits import MODEL_LIMITS
 from localization.navigation.path import total_length_in, wall_distances
-from localization.navigation.planner import DETOUR, MARGINS_IN, PlannedPath, Planner
-from localization.navigation.roadmap import NoPathError, Roadmap
+from localization.navigation.roadmap import DETOUR, MARGINS_IN, NoPathError, PlannedPath, Planner, Roadmap
 from worlds.io import load_world
 from worlds.robots import N150
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import pytest
 
+from localization.live.sensor_input import SensorData
 from localization.navigation.recovery import MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 
 
-class Ring(NamedTuple):
-    sonars_in: tuple[int, ...]
-    steering_rad: float = 1.0
-    turret_rad: float = 1.0
-    touching: bool = False
+def ring(readings: tuple[int, ...], turret_rad: float = 1.0) -> SensorData:
+    return SensorData(0.0, 0.0, 0.0, 1.0, turret_rad, readings)
 
 
 def near(*sonars: int) -> tuple[int, ...]:
@@ -28,7 +24,7 @@ def near(*sonars: int) -> tuple[int, ...]:
 def test_recovery_scans_then_drives_if_space_ahead_is_free(
     readings: tuple[int, ...], speed_in_s: float
 ) -> None:
-    echo, one = Ring(readings), RecoveryBehavior(PERIOD_S)
+    echo, one = ring(readings), RecoveryBehavior(PERIOD_S)
     # First a scan of all directions in place.
     turning = [one.command(echo) for _ in range(round(SCAN_RAD / TURN_RAD_S / PERIOD_S))]
     assert set(turning) == {(0.0, TURN_RAD_S)}
@@ -42,6 +38,6 @@ def test_recovery_scans_then_drives_if_space_ahead_is_free(
 
 def test_space_ahead_follows_steering_not_turret() -> None:
     one = RecoveryBehavior(100.0)
-    one.command(Ring(near()))
-    assert one.command(Ring(near(8), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == 0.0
-    assert one.command(Ring(near(0), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == MAX_DRIVE_IN_S
+    one.command(ring(near()))
+    assert one.command(ring(near(8), 1.0 + 3.14159))[0] == 0.0
+    assert one.command(ring(near(0), 1.0 + 3.14159))[0] == MAX_DRIVE_IN_S

@@ -41,6 +41,7 @@ def estimate(state: RobotState, *sonars: int, health: FilterHealth = HEALTHY) ->
     return Estimate(clock, belief, echoes, health)
 
 
+@pytest.mark.long
 def test_only_readings_of_unmapped_obstacles_are_replaced(robot: Robot) -> None:
     state = robot.refresh()
     shown = filter_unmapped(ObstacleTracker(WALLS, N150.sonar_ring_radius_in), estimate(state), state, ANGLES)
@@ -59,6 +60,7 @@ def test_many_short_readings_are_not_filtered(robot: Robot) -> None:
     assert filter_unmapped(obstacles, estimate(state), state, ANGLES).sonars_in == state.sonars_in
 
 
+@pytest.mark.long
 def test_box_is_confirmed_at_its_place(robot: Robot) -> None:
     obstacles, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
@@ -67,6 +69,7 @@ def test_box_is_confirmed_at_its_place(robot: Robot) -> None:
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx((28.0, 16.0), abs=0.6)
 
 
+@pytest.mark.long
 def test_an_echo_was_measured_where_the_robot_was(robot: Robot) -> None:
     obstacles = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
     robot.drive(translation_in_s=5.0)

@@ -47,6 +47,7 @@ def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> lis
     return progress
 
 
+@pytest.mark.long
 def test_the_noisy_robot_reaches_its_goal_on_the_estimate() -> None:
     progress = drive("sim:thesis_room?noisy=1&seed=1&step_s=0.1", "thesis_room", [(0, 0), (60, 40)])
     assert progress[-1].passed == 2
@@ -97,6 +98,7 @@ def test_navigator_slows_and_turns_towards_goal() -> None:
     assert navigator.finished
 
 
+@pytest.mark.long
 def test_period_waits_for_rest_of_robot_clock() -> None:
     waited: list[float] = []
     # Each request takes 20 ms of simulated time.
@@ -113,6 +115,7 @@ def test_period_waits_for_rest_of_robot_clock() -> None:
     assert waited == pytest.approx([PERIOD_S - 0.02] * 4)
 
 
+@pytest.mark.long
 def test_robot_that_stays_can_be_driven_by_others() -> None:
     with connect("sim:thesis_room?step_s=0.05") as robot:
         state = robot.refresh()
@@ -189,6 +192,7 @@ def test_frequent_states_leave_commands_unchanged(
     assert driven == [navigator.command(pose) for pose in poses[:-1]]
 
 
+@pytest.mark.long
 def test_misfit_is_reported_with_rare_states() -> None:
     """Exact rays taken for a real ring's cones: two thirds of the echoes are no reflector's."""
     text = []

@@ -111,6 +111,7 @@ def test_commands_the_line_lacks_are_refused(
     assert robot.calls == []
 
 
+@pytest.mark.long
 def test_every_command_is_answered_or_refused() -> None:
     for model in (N150, N200, SCOUT):
         robot = ScriptedLine(model=model)

@@ -50,7 +50,7 @@ def test_metavars_stand_for_what_is_installed() -> None:
     assert {"nserver://localhost:7019/1", "sim:", "sim:thesis_room", "replay:"} <= set(words["ADDRESS"])
     assert words["MODEL"] == ("n150", "n200", "scout")
     assert "get_sn" in words["COMMAND"]
-    assert words["call"] == words["COMMAND"], "what `nomad wire encode` takes is what `nomad dump --filter` takes"
+    assert words["CALL"] == words["COMMAND"], "what `nomad wire encode` takes is what `nomad dump --filter` takes"
 
 
 @pytest.mark.parametrize(("programs", "made"), [([], ["nomad", "nserver"]), (["nserver"], ["nserver"])])

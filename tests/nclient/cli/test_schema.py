@@ -69,6 +69,7 @@ def is_read(kind: str, text: str) -> str:
     return ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", READERS)
 def test_schemas_are_printed_and_valid(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["schema", kind]) == 0

@@ -38,6 +38,7 @@ def reported(session: Session, text: str) -> str:
     return "\n".join(session.run(text))
 
 
+@pytest.mark.long
 def test_a_motion_and_its_end() -> None:
     session = session_on()
     assert "moving: translation" in reported(session, "pr(240, 0, 0);")
@@ -92,6 +93,7 @@ def test_what_a_line_shows(text: str, shown: str) -> None:
     assert shown in reported(session_on(), text)
 
 
+@pytest.mark.long
 def test_model_with_more_sensors_reports_more() -> None:
     session = session_on("sim:thesis_room?robot=n200")
     assert reported(session, "get_ir").startswith("infrared ")
@@ -157,6 +159,7 @@ def test_what_has_many_numbers_and_no_words_is_shown_as_it_came() -> None:
     assert ("create_robot", (3, 7)) in [(call.name, call.args) for call in server.calls]
 
 
+@pytest.mark.long
 def test_sleep_is_simulated_time_in_this_process_and_costs_none() -> None:
     slept = Slept()
     session = session_on("sim:thesis_room?step_s=0.05", slept)

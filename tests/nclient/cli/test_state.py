@@ -11,6 +11,7 @@ from nclient.cli import main, state
 from tests.nclient.scripted_server import ScriptedServer, robot_on
 
 
+@pytest.mark.long
 def test_all_parts_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["state", "sim:thesis_room"]) == 0
     reported = capsys.readouterr().out
@@ -18,6 +19,7 @@ def test_all_parts_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert reported.count("pose") == 1
 
 
+@pytest.mark.long
 def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["state", "sim:thesis_room", "--watch", "--every", "0", "--count", "3", "clock"]) == 0
     clocks = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()]
@@ -25,6 +27,7 @@ def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
     assert clocks == sorted(set(clocks))
 
 
+@pytest.mark.long
 def test_time_of_a_simulation_passes_between_two_states(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -34,6 +37,7 @@ def test_time_of_a_simulation_passes_between_two_states(
     assert second - first == pytest.approx(0.501)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("words", "looks"), [
     (["--count", "3"], 3), (["--every", "0", "--count", "2"], 2), (["--watch", "--count", "1"], 1), ([], 1),
 ])
@@ -47,6 +51,7 @@ def test_every_and_count_imply_watch(
     assert slept == [0.0 if "--every" in words else state.EVERY_S] * (looks - 1)
 
 
+@pytest.mark.long
 def test_an_interval_alone_is_to_watch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     slept: list[float] = []
 

@@ -85,8 +85,8 @@ def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, 
     ("encode ct --mask 1,2", "a mask has 44 numbers"), ("encode ct --mask on", "invalid literal"),
     ("decode 00 --line usb", "argument --line: no 'usb'; there are tcp, tcp64, serial"),
     ("decode 00 --model n300", "no 'n300'; there are n150, n200, scout; did you mean n200?"),
-    ("", "encode|decode|dump"), ("encode", "the following arguments are required: call\n"),
-    ("decode zz", "argument hex: no hex, two digits a byte: zz"), ("decode 00 0", "two digits a byte: 00 0"),
+    ("", "encode|decode|dump"), ("encode", "the following arguments are required: CALL\n"),
+    ("decode zz", "argument HEX: no hex, two digits a byte: zz"), ("decode 00 0", "two digits a byte: 00 0"),
 ])
 def test_arguments_that_make_no_sense(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:
     with pytest.raises(SystemExit, match="2"):

@@ -9,14 +9,13 @@ import sys
 
 import pytest
 
-from nclient.common.exit_codes import ExitCode, in_short
+from nclient.common.process import ExitCode, in_short
 
 pytestmark = pytest.mark.long
 
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 NSERVER = [sys.executable, "-m", "nserver_emu"]
 SHELL = [*NOMAD, "shell", "sim:thesis_room?step_s=0.001", "-c", "State[0]; vm 10 0 0; sleep 80000"]
-
 
 
 def test_codes_are_numbers_and_each_is_once() -> None:

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from nclient.cli import __main__ as nomad
-from nclient.common.exit_codes import ExitCode
+from nclient.common.process import ExitCode
 from nclient.common.start import exit_on_interrupt
 from nserver_emu import __main__ as nserver
 

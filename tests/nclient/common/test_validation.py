@@ -93,6 +93,7 @@ def test_found_names_kind_and_value(value: object, words: str) -> None:
     assert describe_value(value) == words
 
 
+@pytest.mark.long
 def test_found_is_never_long() -> None:
     assert len(describe_value("x" * 1000)) < 80
     assert describe_value(list(range(1000))).endswith("...")

@@ -100,6 +100,7 @@ def test_per_cent_counts_what_it_dropped(sent: list[bytes], seed: int, percent: 
     assert injector.counts["it"] == {"seen": len(sent), "drop": lost}
 
 
+@pytest.mark.long
 def test_per_cent_is_that_many_in_the_long_run() -> None:
     injector = one_rule(Drop(), When(percent=30.0))
     passed(injector, [FRAME] * 10_000)

@@ -74,6 +74,7 @@ def test_whatever_comes_every_byte_is_accounted_for(pieces: list[bytes], bounds:
     assert accounted(framer, found) == sum(map(len, pieces))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [12, 9999, 300])
 def test_a_count_of_65535_never_makes_the_buffer_grow(kind: int) -> None:
     framer = TcpFramer(request_bounds)

@@ -113,6 +113,7 @@ def test_whole_units_survive_a_recording(seed: int, model: str) -> None:
         the_same(convert.read_drive(path), Drive(samples))
 
 
+@pytest.mark.long
 def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
     """The reader of mcap finds schemas and channels, rosbags' CDR the values."""
     from rosbags.typesys import Stores, get_typestore
@@ -139,6 +140,7 @@ def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
     assert scan.angle_increment == pytest.approx(math.tau / 16)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
 def test_readings_at_the_limits_survive(tmp_path: Path, suffix: str) -> None:
     """REP-117: -inf nearer than a sonar measures, +inf without an echo."""
@@ -152,6 +154,7 @@ def test_readings_at_the_limits_survive(tmp_path: Path, suffix: str) -> None:
     assert found.ring_m == pytest.approx(0.25)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".bag", ""])
 def test_rosbags_and_evo_read_bags(recorded: Path, tmp_path: Path, suffix: str) -> None:
     from evo.tools.file_interface import read_bag_trajectory
@@ -280,6 +283,7 @@ def test_long_ranges_and_unequal_angles_in_bags(tmp_path: Path) -> None:
     assert convert.read_drive(tmp_path / "uneven.mcap").samples[0].ranges_m == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
 def test_recording_cut_short_survives(recorded: Path, tmp_path: Path, suffix: str) -> None:
     """After a power failure the last line is not whole; it must not break the file that it is converted to."""
@@ -290,6 +294,7 @@ def test_recording_cut_short_survives(recorded: Path, tmp_path: Path, suffix: st
     assert convert.read_drive(tmp_path / f"cut{suffix}").samples == drive.samples
 
 
+@pytest.mark.long
 def test_mcap_of_any_name(recorded: Path, tmp_path: Path) -> None:
     convert.write_drive(convert.read_drive(recorded), tmp_path / "run.mcap")
     (tmp_path / "run.mcap").rename(tmp_path / "run.data")

@@ -23,6 +23,7 @@ def drive(address: str) -> tuple[int, ...]:
         return robot.refresh().raw
 
 
+@pytest.mark.long
 def test_recording_is_transparent_and_reproducible(tmp_path: Path) -> None:
     address, files = "sim:thesis_room?noisy=1&seed=3&step_s=0.1", []
     for _ in range(2):
@@ -64,6 +65,7 @@ def test_a_disk_that_is_full_costs_the_recording_and_not_the_run(caplog: pytest.
     assert "begin another recording" in caplog.text
 
 
+@pytest.mark.long
 def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None:
     connector = Connector(parse_address(f"sim:thesis_room?record={tmp_path}/run.log"))
     for _ in range(2):

@@ -75,6 +75,7 @@ def test_queries_return_the_real_robots_numbers() -> None:
     assert robot.actual.x_in == 0.0
 
 
+@pytest.mark.long
 def test_every_command_is_answered_and_lacking_ones_are_error_4() -> None:
     for model, lacking in (
         ("n150", {"conf_ir", "get_ir", "conf_cp", "conf_ls", "get_ls", "conf_sg", "get_sg", "pa", "tk", "get_ra",
@@ -311,6 +312,7 @@ def test_the_gateways_timeout_applies_until_a_client_sets_one() -> None:
     assert len(robot.calls) == 2
 
 
+@pytest.mark.long
 def test_a_silent_owners_watchdog_is_not_fed_by_others() -> None:
     harness, line = on_line()
     real = line.emulator.simulation.robots[1]
@@ -387,6 +389,7 @@ def test_position_stamps_are_requested_once_for_all_clients() -> None:
     assert robot.calls[-1] == Call("ct", EVERYTHING.smask)
 
 
+@pytest.mark.long
 def test_stamps_of_another_nserver_are_passed_on() -> None:
     harness = GatewayHarness(lambda: open_backend("sim:thesis_room?step_s=0.1"))
     client = harness.client()
@@ -422,6 +425,7 @@ def test_an_unreachable_robot_is_an_error_at_the_start() -> None:
         GatewayHarness(nowhere)
 
 
+@pytest.mark.long
 def test_the_shadow_of_a_simulation_differs_by_nothing() -> None:
     line = line_of(emulated())
     harness = GatewayHarness(lambda: line, emulator=emulated(pace=SimulationClock(lockstep_s=0.1)), shadow=True)
@@ -520,6 +524,7 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
 
 
+@pytest.mark.long
 def test_refused_motion_is_answered_when_the_real_robot_got_st() -> None:
     harness, robot = scripted()
     client = harness.client()

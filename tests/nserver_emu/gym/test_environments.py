@@ -43,6 +43,7 @@ def test_parallel_environment_passes_the_test_of_pettingzoo(capsys: pytest.Captu
     assert env.render().shape[2] == 3
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_episode() -> None:
     env = gymnasium.make("Nomad/GoTo-v0")
     first, again, other = (run_episode(env, RandomPolicy(env.action_space), seed=seed).poses_m for seed in (4, 4, 5))
@@ -214,6 +215,7 @@ def test_mistakes_are_named(make: Any, word: str) -> None:
         make()
 
 
+@pytest.mark.long
 def test_wall_follower_keeps_its_distance() -> None:
     env = explore(world="thesis_room", setup="ideal")
     done = run_episode(gymnasium.wrappers.TimeLimit(env, 300), WallFollower(), 1, {"start_m": (1.0, 0.3, 0.0)})

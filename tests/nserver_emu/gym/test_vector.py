@@ -18,6 +18,7 @@ def make(count: int, name: str = "GoTo", **options: Any) -> Any:
     return gymnasium.make_vec(f"Nomad/{name}-v0", num_envs=count, **options)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["GoTo", "Explore"])
 def test_first_robot_is_that_of_a_single_environment(name: str) -> None:
     options = {"start_m": AHEAD["start_m"], **({"goal_m": AHEAD["goal_m"]} if name == "GoTo" else {})}

@@ -349,6 +349,7 @@ def test_impossible_values_are_refused(path: tuple[str | int, ...], value: objec
     check_refused(json.dumps(whole), "damaged")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["drive", "rngs"])
 def test_missing_and_additional_fields_are_refused(name: str) -> None:
     whole = saved()
@@ -431,6 +432,7 @@ def test_values_that_would_fail_later_are_refused(path: tuple[str | int, ...], v
     check_refused(json.dumps(whole), "damaged")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "value", "named"),
     [

@@ -116,6 +116,7 @@ def test_another_timeout_counts_from_the_last_command(emulator: Emulator, change
     assert emulator.simulation.robots[1].timed_out_s == pytest.approx(stops_s)
 
 
+@pytest.mark.long
 def test_a_shorter_timeout_than_the_silence_stops_at_once(emulator: Emulator) -> None:
     first, _, second = pair(emulator)
     first.ask("conf_tm", 9)
@@ -144,6 +145,7 @@ def test_queries_of_the_owner_feed_the_watchdog(emulator: Emulator) -> None:
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
 
 
+@pytest.mark.long
 def test_a_client_that_leaves_does_not_feed_the_watchdog(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     second.ask("conf_tm", 2)

@@ -95,6 +95,7 @@ def test_places_of_the_reserve_are_for_a_short_time() -> None:
     assert not any(one.reasons for one in present[1:3]), "there is room again"
 
 
+@pytest.mark.long
 async def test_a_stop_gets_through_300_idle_connections(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(admission, "MIN_IDLE_S", 0.0)
     async with running_server() as server:

@@ -72,6 +72,7 @@ async def faulty_daemon(
             await client.close()
 
 
+@pytest.mark.long
 async def test_delayed_replies_stay_complete_and_in_order() -> None:
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
     async with faulty_daemon(late) as (daemon, open_client):

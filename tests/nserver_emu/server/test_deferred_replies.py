@@ -28,6 +28,7 @@ def waiting(emulator: Emulator, seconds: int) -> tuple[WireClient, Session]:
     return client, session
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seconds", [1, 60])
 def test_a_deferred_reply_has_its_due_time_in_a_long_step(seconds: int) -> None:
     emulator = Emulator(simulation(), clock=SimulationClock(paused=True), allowed=Allowed(control=True))
@@ -41,6 +42,7 @@ def test_a_deferred_reply_has_its_due_time_in_a_long_step(seconds: int) -> None:
     assert session.tick() == b""
 
 
+@pytest.mark.long
 def test_a_deferred_reply_has_its_due_time_at_high_speed() -> None:
     emulator = Emulator(simulation())
     daemon = Daemon(emulator, speed=100.0)
@@ -59,6 +61,7 @@ def test_a_deferred_reply_has_its_due_time_in_lockstep() -> None:
     assert reply.clock == 1000
 
 
+@pytest.mark.long
 def test_in_process_it_is_answered_in_time_too() -> None:
     end = InProcess(Emulator(simulation(), allowed=Allowed(control=True)), step_s=5.0)
 
@@ -100,6 +103,7 @@ def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
     assert len(emulator._deferred) == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("call", ["ws", "zr"])
 def test_waiting_feeds_the_watchdog_until_the_reply(call: str) -> None:
     emulator = Emulator(simulation())

@@ -9,13 +9,13 @@ import weakref
 import pytest
 
 from nserver_emu import cli
-from nserver_emu.server import garbage_collection as garbage
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.garbage_collection import (
+from nserver_emu.server import daemon as garbage
+from nserver_emu.server.daemon import (
     GC_THRESHOLD,
     MIN_INTERVAL_RATIO,
     MIN_INTERVAL_S,
     MIN_OBJECTS,
+    Daemon,
     GarbageCollector,
     rare_collection,
 )

@@ -67,6 +67,7 @@ def test_every_limit_is_a_row_with_an_enforcer_that_is_there() -> None:
         assert (base / row.where).is_file(), row.where
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("row", TABLE, ids=lambda row: row.name)
 def test_every_limit_has_an_option(row: object, capsys: pytest.CaptureFixture[str]) -> None:
     (limit,) = (one for one in TABLE if one is row)
@@ -123,6 +124,7 @@ def test_rejections_are_logged_per_address_and_then_counted(caplog: pytest.LogCa
     assert door.rejected == 2 * MAX_REPEATS + 2
 
 
+@pytest.mark.long
 async def test_a_fast_client_is_slowed_without_loss() -> None:
     async with limited_server(Limits(rate=200)) as server:
         fast, other = await server.connect_client(), await server.connect_client()
@@ -169,6 +171,7 @@ async def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture
     assert "idle for 2 s" in caplog.text
 
 
+@pytest.mark.long
 async def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
     async with limited_server(Limits(stall=1)) as server:
         stalled, other = await server.connect_client(), await server.connect_client()
@@ -183,6 +186,7 @@ async def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
         assert (await other.ask("gs")).kind == "state"
 
 
+@pytest.mark.long
 async def test_a_stalled_skipped_request_is_closed_and_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -204,6 +204,7 @@ def test_the_arm_of_an_n200_answers_in_packets_when_it_is_done() -> None:
     assert not session.waiting
 
 
+@pytest.mark.long
 def test_ws_and_zr_are_answered_when_they_are_over() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)

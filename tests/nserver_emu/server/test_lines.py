@@ -241,6 +241,7 @@ async def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
         assert (await deaf.ask("get_rv")).kind in ("state", "velocity")
 
 
+@pytest.mark.long
 async def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
     async with running_lines(path) as server:
         deaf, leave = server.at_link()
@@ -255,6 +256,7 @@ async def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> N
         assert (await host.ask("get_rc")).kind == "configuration"
 
 
+@pytest.mark.long
 async def test_a_crowd_of_requests_is_answered_in_turns_in_full(path: Path) -> None:
     async with running_lines(path) as server:
         host, _ = server.at_link()

@@ -125,6 +125,7 @@ def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
     assert cli.main(["nothing.setup", "--restore", str(saved)]) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "pace"),
     [
@@ -184,6 +185,7 @@ def test_the_first_client_owns_a_restored_moving_robot() -> None:
     del first
 
 
+@pytest.mark.long
 def test_axes_with_an_owner_are_not_claimed() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)

@@ -37,6 +37,7 @@ def test_the_most_robots_find_room_and_touch_nothing() -> None:
     assert (simulation.robots[1].actual.steering_rad, simulation.robots[1].actual.turret_rad) == (1.0, 2.0)
 
 
+@pytest.mark.long
 def test_robots_start_beside_walkers() -> None:
     simulation = Simulation(replace(HALL, walkers=(Walker(((0.0, 25.0), (600.0, 25.0))),)))
     places = StartPoseAllocator(simulation)
@@ -64,6 +65,7 @@ def test_a_world_without_rooms_ends_with_the_last_ring() -> None:
     assert len(tried) == 1 + 3 * MAX_RINGS * (MAX_RINGS + 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", world_names())
 def test_two_robots_can_drive_ahead_in_shipped_worlds(world: str) -> None:
     (alone_in,) = distances_ahead_in(SimulationConfig(world=world).simulation())

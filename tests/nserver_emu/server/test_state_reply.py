@@ -54,6 +54,7 @@ def mask(*slots: int, position: int = 0) -> tuple[int, ...]:
     return Mask((position, *[int(slot in slots) for slot in range(1, 44)])).smask
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("slots", "cast"),
     [

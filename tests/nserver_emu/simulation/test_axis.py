@@ -45,7 +45,7 @@ def test_instant_relative_ends_exactly_on_its_target() -> None:
     axis.move_by(-10.0)
     assert (axis.mode, axis.shown_velocity) == (Mode.RELATIVE, -8.0)
     # 10 in at 8 in/s take 1.25 s: 8 in in the first second, 2 in after it.
-    assert axis.phase_left_s == pytest.approx(1.25)
+    assert axis.current_phase[0] == pytest.approx(1.25)
     assert axis.advance(1.0) == pytest.approx(-8.0)
     assert axis.moving
     assert axis.advance(1.0) == pytest.approx(-2.0)
@@ -74,10 +74,10 @@ def test_velocity_ramp_is_half_a_t_squared() -> None:
     # s = a t^2 / 2 until the speed of 15 in/s at 0.5 s.
     assert axis.advance(0.25) == pytest.approx(0.5 * 30.0 * 0.25**2)
     assert axis.velocity == pytest.approx(7.5)
-    assert axis.phase_acceleration == 30.0
+    assert axis.current_phase[2] == 30.0
     # The rest of the ramp, and one second at constant speed.
     assert axis.advance(1.25) == pytest.approx(0.5 * 30.0 * (0.5**2 - 0.25**2) + 15.0)
-    assert axis.phase_acceleration == 0.0
+    assert axis.current_phase[2] == 0.0
     axis.stop()
     assert axis.moving
     # Braking distance: v^2 / (2 a).
@@ -209,7 +209,7 @@ def test_no_speed_no_motion() -> None:
 def test_halt_stands_at_once_where_stop_needs_a_ramp() -> None:
     axis = ramped(velocity=10.0)
     axis.halt()
-    assert (axis.moving, axis.velocity, axis.phase_left_s, axis.phase_acceleration) == (False, 0.0, inf, 0.0)
+    assert (axis.moving, axis.velocity, axis.current_phase[0], axis.current_phase[2]) == (False, 0.0, inf, 0.0)
     assert axis.mode is Mode.HOLD
 
 

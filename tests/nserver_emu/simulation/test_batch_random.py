@@ -18,6 +18,7 @@ def test_words_are_those_of_pcg64(factory: RngFactory) -> None:
     assert found == [int(word) for word in factory.stream(Purpose.SONAR).bit_generator.random_raw(200)]
 
 
+@pytest.mark.long
 def test_normal_numbers_are_those_of_numpy() -> None:
     factory = RngFactory(2, 5)
     words = np.array(batch_random.stream_words(factory, Purpose.MOTION), dtype=np.uint64)

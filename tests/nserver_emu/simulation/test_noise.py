@@ -28,6 +28,7 @@ def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) ->
     return result
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pieces", [1, 5])
 def test_variances_grow_with_distance_and_turn(pieces: int) -> None:
     distance, turn, draws = 10.0, -0.6, 4000

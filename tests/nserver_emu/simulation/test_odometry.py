@@ -66,12 +66,14 @@ def arc(length: float, turn: float) -> tuple[complex, float]:
     return (length * (exp(1j * turn) - 1.0) / (1j * turn) if turn else complex(length)), turn
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sense", [CCW, CW])
 def test_an_exact_square_closes(room: World, sense: int) -> None:
     place, _ = square(room, Odometry(), N150, sense)
     assert abs(place) < 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sense", [CCW, CW])
 def test_a_synchro_square_is_the_closed_form(room: World, sense: int) -> None:
     odometry = Odometry(scales=(1.02, 0.99, 1.0), drifts=(radians(0.05), 0.004))
@@ -83,6 +85,7 @@ def test_a_synchro_square_is_the_closed_form(room: World, sense: int) -> None:
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sense", [CCW, CW])
 def test_a_scouts_square_is_the_closed_form(room: World, sense: int) -> None:
     # Wheels 0.6 % larger and 0.3 % smaller, track 2 % narrower than assumed.

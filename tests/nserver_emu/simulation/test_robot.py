@@ -160,6 +160,7 @@ def test_zero_turns_to_the_bumpers_zero_and_then_reads_0(lone: Lone) -> None:
     assert (robot.zeroing, robot.encoder) == (False, (0.0, 0.0, 0.0, 0.0))
 
 
+@pytest.mark.long
 def test_zero_finds_the_body_that_noise_has_turned(lone: Lone) -> None:
     simulation, robot = lone(setup=NOISY)
     robot.set_velocities(3.0, 0.5, 0.3)
@@ -216,6 +217,7 @@ def test_the_timeout_stops_at_its_very_instant(lone: Lone) -> None:
     assert robot.velocities[0] == -10.0
 
 
+@pytest.mark.long
 def test_without_a_timeout_nothing_stops(lone: Lone) -> None:
     simulation, robot = lone()
     robot.set_timeout(-1.0)
@@ -305,6 +307,7 @@ def test_a_robot_set_into_a_wall_can_only_leave_it(lone: Lone) -> None:
     assert robot.bumpers == 0
 
 
+@pytest.mark.long
 def test_noise_never_stops_the_wheels_of_a_leaving_robot(lone: Lone) -> None:
     simulation, robot = lone(setup=NOISY)
     held = 0

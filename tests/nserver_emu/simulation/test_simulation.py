@@ -73,6 +73,7 @@ def test_the_same_seed_gives_the_same_run_and_another_another(lone: Lone) -> Non
     assert motions[0] != motions[2]
 
 
+@pytest.mark.long
 def test_robots_have_random_streams_of_their_own(room: World) -> None:
     alone, together = Simulation(room, 3), Simulation(room, 3)
     for simulation in (alone, together):

@@ -17,6 +17,7 @@ from worlds.world import StartPose, World
 RAMPS = replace(IDEAL, name="ramps", ramps=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("setup", [IDEAL, RAMPS, WORN], ids=lambda setup: setup.name)
 @pytest.mark.parametrize("model", [N150, SCOUT], ids=lambda model: model.name)
 def test_no_path_is_longer_than_its_bound(room: World, model: RobotModel, setup: RobotSetup) -> None:

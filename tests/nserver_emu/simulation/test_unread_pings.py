@@ -49,6 +49,7 @@ def test_the_order_of_computing_changes_no_bit(world: str, robots: int) -> None:
         assert any(np.isfinite(in_order))
 
 
+@pytest.mark.long
 def test_a_poll_at_the_fastest_rate_computes_each_ping_once(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
     run = FIRST_ECHO.run
@@ -99,6 +100,7 @@ def full_ring() -> tuple[Simulation, SonarRing]:
     return simulation, robot.sonar
 
 
+@pytest.mark.long
 def test_steps_give_the_same_readings_as_all_at_once() -> None:
     (_, at_once), (_, in_steps) = full_ring(), full_ring()
     expected = at_once.readings_in
@@ -110,6 +112,7 @@ def test_steps_give_the_same_readings_as_all_at_once() -> None:
     assert in_steps.compute_some()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("between", [1, 7, 16])
 def test_pings_between_two_steps_change_no_reading(between: int) -> None:
     """A ping that another takes the place of before its range is known is forgotten, as when nothing was computed."""
@@ -123,6 +126,7 @@ def test_pings_between_two_steps_change_no_reading(between: int) -> None:
     assert in_steps.compute_some()
 
 
+@pytest.mark.long
 def test_a_begun_step_ends_with_the_old_model() -> None:
     (one, at_once), (other, in_steps) = full_ring(), full_ring()
     for _ in range(3):

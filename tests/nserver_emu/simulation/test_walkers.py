@@ -32,6 +32,7 @@ def along(points: list[tuple[float, float]], distance: float) -> tuple[float, fl
     return float(np.interp(distance, at, xs)), float(np.interp(distance, at, ys))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_closed", [True, False])
 def test_walker_is_where_its_speed_brings_it(is_closed: bool) -> None:
     run = simulation(Walker(SQUARE, 10.0, is_closed=is_closed))
@@ -43,6 +44,7 @@ def test_walker_is_where_its_speed_brings_it(is_closed: bool) -> None:
         assert run.walkers[0].disc == pytest.approx((*wanted, 7.0), abs=1e-8)
 
 
+@pytest.mark.long
 def test_steps_of_any_size_give_the_same_walk() -> None:
     runs = []
     for dt_s in (0.04, 0.2, 3.0):
@@ -150,6 +152,7 @@ def test_snapshot_after_the_last_walker_left_is_restored() -> None:
     assert Simulation.from_state(run.to_state()).robots[1].actual == run.robots[1].actual
 
 
+@pytest.mark.long
 def test_slowest_walker_stands() -> None:
     for speed in (1e-9, 5e-324):
         run = simulation(Walker(SQUARE, speed, is_closed=True), start=StartPose(250.0, 100.0))

@@ -125,6 +125,7 @@ def test_class_implies_page_and_arena(words: list[str], world: str) -> None:
     assert options.viewer is not None
 
 
+@pytest.mark.long
 def test_thirty_starts_of_the_arena_have_room_ahead() -> None:
     arena = SimulationConfig("arena", others=tuple(robot_placements(["n150"], (), 30)[1:])).simulation()
     assert len(arena.robots) == 30
@@ -252,6 +253,7 @@ async def test_reset_returns_robots_as_starts_become_free(classroom: Any) -> Non
     assert world.robots[1].encoder == starts[1]
 
 
+@pytest.mark.long
 async def test_programs_of_each_robot_are_shown(classroom: Any) -> None:
     here, teacher, _ = classroom
     _, writer = await asyncio.open_connection(HOST, here.daemon.emulator.port)
@@ -262,6 +264,7 @@ async def test_programs_of_each_robot_are_shown(classroom: Any) -> None:
     await teacher.until(lambda message: message["type"] == "programs" and message["robots"] == {})
 
 
+@pytest.mark.long
 async def test_pages_of_students_do_not_keep_the_teacher_out(classroom: Any) -> None:
     here, *_ = classroom
     here.daemon.admission.limits = Limits(viewers=2)

@@ -58,7 +58,7 @@ def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
 
 
 async def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nserver_emu.viewer.server.HEARTBEAT_S", SHORT_S)
+    monkeypatch.setattr("nserver_emu.viewer.http_port.HEARTBEAT_S", SHORT_S)
 
     async with serve_viewer(Emulator(simulation())) as here:
         with await dumb_page(here) as end:
@@ -100,6 +100,7 @@ async def test_messages_for_a_closed_page_are_dropped(caplog: pytest.LogCaptureF
     assert not [record for record in caplog.records if record.levelname == "ERROR"]
 
 
+@pytest.mark.long
 async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from nserver_emu.viewer.map_editor import adjust_world
+from nserver_emu.viewer.controller import adjust_world
 from nserver_emu.viewer.messages import Adjust, InvalidMessage, Tape, parse_message
 from worlds.io import format_world, load_world
 

@@ -11,7 +11,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.metrics import STUCK_S, all_metrics, health, metrics
+from nserver_emu.viewer.server import STUCK_S, all_metrics, health, metrics
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import elsewhere, serve_viewer
 

@@ -186,6 +186,7 @@ def test_drawings_continue_from_the_viewers_picture() -> None:
         assert len(change["come"]) <= 6
 
 
+@pytest.mark.long
 def test_changes_after_a_picture_come_once_with_the_next() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
@@ -220,6 +221,7 @@ def test_a_viewer_far_behind_gets_all_drawings_again() -> None:
     assert history.since(1)["graphics"] == []
 
 
+@pytest.mark.long
 def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
@@ -239,6 +241,7 @@ def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
     assert history.since(0)["traces"]["1"]["actual"]["points"][:5] == [0.0, 0.0, None, None, 50.0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [N200, SCOUT])
 def test_touching_bumpers_are_drawn_at_the_wall(model: RobotModel) -> None:
     sim = Simulation(load_world("thesis_room"), seed=3)
@@ -321,6 +324,7 @@ def test_laser_points_stay_on_the_wall_while_the_robot_turns() -> None:
     assert len(ys) > 400
 
 
+@pytest.mark.long
 def test_looking_changes_nothing_that_comes_later() -> None:
     looked, alone = (Emulator(simulation(noisy=True, seed=5)) for _ in range(2))
     history = SceneHistory(looked)

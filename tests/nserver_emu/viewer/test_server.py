@@ -122,6 +122,7 @@ async def test_a_viewer_gets_pictures_until_it_leaves() -> None:
                 await asyncio.sleep(0.01)
 
 
+@pytest.mark.long
 async def test_a_slow_viewer_gets_pictures_again_after_catching_up() -> None:
     async with serve_viewer(an_emulator()) as here, here.page() as page:
         (viewer,) = here.viewer_server.broadcaster.viewers
@@ -172,6 +173,7 @@ async def test_a_call_of_a_page_acts_as_a_clients() -> None:
             await asyncio.sleep(0.01)
 
 
+@pytest.mark.long
 async def test_driving_stops_without_repeated_messages() -> None:
     async with serve_viewer(an_emulator()) as here, here.page() as page:
         robot = here.daemon.emulator.simulation.robots[1]
@@ -229,6 +231,7 @@ async def test_a_driver_learns_of_other_drivers() -> None:
         assert (await other.answer(2))["others"] == []
 
 
+@pytest.mark.long
 async def test_answers_do_not_wait_for_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
     # Pictures so rare that a busy machine answers 40 calls in the time of 20.

@@ -23,6 +23,7 @@ PLANS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", PLANS)
 async def test_no_plan_of_faults_touches_what_is_done_at_the_page(plan: str) -> None:
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:

@@ -91,6 +91,7 @@ def test_arm_ws_returns_0_on_timeout_of_selected_axes(
     assert answer(reply) == (41, 0, 0)
 
 
+@pytest.mark.long
 def test_zero_answers_when_the_arm_is_home(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     client, session = connected
     client.ask("arm_mv", RELATIVE, 500, RELATIVE, 100)
@@ -134,12 +135,14 @@ def settled_in(emulator: Emulator) -> float:
     return emulator.arms[1].lift.position_in
 
 
+@pytest.mark.long
 def test_st_stops_the_arm_too(emulator: Emulator) -> None:
     client, _ = running(emulator)
     client.ask("st")
     assert 0.9 < settled_in(emulator) < 1.1
 
 
+@pytest.mark.long
 def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, other_session = meet(emulator)
@@ -150,6 +153,7 @@ def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
     assert 0.9 < settled_in(emulator) < 1.1
 
 
+@pytest.mark.long
 def test_the_arm_keeps_moving_for_its_new_owner(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, _ = meet(emulator)
@@ -158,6 +162,7 @@ def test_the_arm_keeps_moving_for_its_new_owner(emulator: Emulator) -> None:
     assert settled_in(emulator) == pytest.approx(11.0, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step_s", [0.1, 5.0])
 def test_the_time_out_stops_the_arm_when_it_strikes(emulator: Emulator, step_s: float) -> None:
     client, _ = running(emulator)

@@ -212,6 +212,7 @@ def test_a_prediction_has_infrared_compass_and_laser(client: WireClient) -> None
     assert client.ask("gs").laser == here.laser
 
 
+@pytest.mark.long
 def test_a_measured_robot_continues_from_a_snapshot() -> None:
     emulator = n200(setup=MEASURED)
     client, _ = meet(emulator)

@@ -57,6 +57,7 @@ def test_noise_changes_take_effect_for_clients() -> None:
     assert readings(emulator, client) == {exact}
 
 
+@pytest.mark.long
 def test_odometry_strays_robot_by_robot() -> None:
     emulator = Emulator(
         SimulationConfig(others=(("n150", StartPose(70.0, 70.0)),), start=StartPose(20.0, 20.0)).simulation()
@@ -106,6 +107,7 @@ def test_the_same_changes_give_the_same_bytes() -> None:
     assert a_run(SWITCHES) != a_run({})
 
 
+@pytest.mark.long
 def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
     assert a_run(SWITCHES, tmp_path / "saved.json") == a_run(SWITCHES)
 

@@ -1,1 +1,0 @@
-"""Calibration of a robot's wheels and sonars by a guided run."""

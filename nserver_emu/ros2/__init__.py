@@ -1,1 +1,0 @@
-"""Robots as ROS 2 topics by DDS, without ROS on this machine."""

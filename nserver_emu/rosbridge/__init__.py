@@ -1,1 +1,0 @@
-"""Robots as ROS topics for programs that speak rosbridge v2: JSON over a websocket, without ROS on this machine."""
