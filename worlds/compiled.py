@@ -71,6 +71,13 @@ def mark_path(name: str, sources: int) -> Path:
     return folder / f"compiled.{name}.{key:08x}"
 
 
+def write_mark(mark: Path) -> None:
+    """Create a file that marks code as compiled, and its folder, which Python may not have made; not if read-only."""
+    with suppress(OSError):
+        mark.parent.mkdir(exist_ok=True)
+        mark.touch()
+
+
 def is_wanted(name: str, sources: int) -> bool:
     """Return True if compiled code is to be used: as NOMAD_COMPILED says, or where nothing waits for it unseen.
 
@@ -168,8 +175,7 @@ class CompiledFunction:
             _log.warning("compiling with numba; the result is cached function=%s", self._plain.__name__)
         compiled = compile_function(_with_checksum(self._plain, self._checksum))
         compiled(*self._example())
-        with suppress(OSError):  # no writable directory
-            mark.touch()
+        write_mark(mark)
         self.run, self.is_compiled = compiled, True
         return True
 
