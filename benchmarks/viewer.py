@@ -30,10 +30,11 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
+from nclient.common.allowlist import LOOPBACK
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu.server.config import SimulationConfig
-from nserver_emu.server.daemon import LOOPBACK, Daemon, rare_collection
+from nserver_emu.server.daemon import Daemon, rare_collection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.server import serve_viewer
 from worlds.world import StartPose

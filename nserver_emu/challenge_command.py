@@ -23,13 +23,14 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, NamedTuple
 
+from nclient.common.allowlist import LOOPBACK
 from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number, whole_number
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server.config import FIRST_ROBOT, SimulationConfig
-from nserver_emu.server.daemon import LOOPBACK, Daemon
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply

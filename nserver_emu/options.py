@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nclient.common import allowlist
+from nclient.common.allowlist import LOOPBACK
 from nclient.common.arguments import (
     ABOVE_ZERO,
     Parser,
@@ -27,7 +28,6 @@ from nserver_emu.persistence import options as restore_options
 from nserver_emu.ros import options as ros_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
-from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options

@@ -17,6 +17,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.programs import ports
+
 TESTS = Path(__file__).parent
 
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
@@ -103,6 +105,14 @@ def _spread_slowest(items: list[pytest.Item], workers: int) -> list[pytest.Item]
         ordered += chain.from_iterable(slowest[number::workers])
         ordered += islice(others, max(0, share - (len(ordered) - begin)))
     return [*ordered, *others]
+
+
+@pytest.fixture(params=["poll", "portable"])
+def serial_ports(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Open serial ports by each of both transports: in this process, and in programs that call `select_ports`."""
+    if request.param == "portable":
+        monkeypatch.setenv(ports.VARIABLE, "1")
+        monkeypatch.setattr("nclient.transports.serial.needs_portable", lambda _: True)
 
 
 @pytest.fixture

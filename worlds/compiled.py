@@ -71,6 +71,13 @@ def mark_path(name: str, sources: int) -> Path:
     return folder / f"compiled.{name}.{key:08x}"
 
 
+def write_mark(mark: Path) -> None:
+    """Create a file that marks code as compiled, and its folder, which Python may not have made; not if read-only."""
+    with suppress(OSError):
+        mark.parent.mkdir(exist_ok=True)
+        mark.touch()
+
+
 def is_wanted(name: str, sources: int) -> bool:
     """Return True if compiled code is to be used: as NOMAD_COMPILED says, or where nothing waits for it unseen.
 
@@ -107,14 +114,18 @@ def make_compilable(functions: Iterable[Callable[..., Any]]) -> None:
         register_jitable(function)
 
 
-def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function compiled by numba, when first called, or loaded from its cache."""
+def compile_function(function: Callable[..., Any], *, is_division_tested: bool = True) -> Callable[..., Any]:
+    """Return a function compiled by numba, when first called, or loaded from its cache.
+
+    Without the test of each division for zero, a quotient by 0 is inf or NaN, as in arrays.
+    """
     import numba
 
+    options: dict[str, Any] = {"nogil": True, "error_model": "python" if is_division_tested else "numpy"}
     try:
-        compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(function)
+        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no writable directory for the cache
-        compiled = numba.njit(nogil=True)(function)
+        compiled = numba.njit(**options)(function)
     return compiled
 
 
@@ -164,8 +175,7 @@ class CompiledFunction:
             _log.warning("compiling with numba; the result is cached function=%s", self._plain.__name__)
         compiled = compile_function(_with_checksum(self._plain, self._checksum))
         compiled(*self._example())
-        with suppress(OSError):  # no writable directory
-            mark.touch()
+        write_mark(mark)
         self.run, self.is_compiled = compiled, True
         return True
 

@@ -89,12 +89,16 @@ def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> f
     """
     on_line_1, on_line_2 = abs(side_1) <= ON_LINE_IN, abs(side_2) <= ON_LINE_IN
     if not (on_line_1 or on_line_2):
-        return inf if side_1 * side_2 > 0.0 else (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+        return inf if side_1 * side_2 > 0.0 else mean_ahead(ahead_1, side_1, ahead_2, side_2)
     nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
     if on_line_1 and on_line_2:  # the wall is seen end-on
         return farther if farther < 0.0 else max(nearer, 0.0)
-    mean = (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
-    return min(max(mean, nearer), farther)
+    return min(max(mean_ahead(ahead_1, side_1, ahead_2, side_2), nearer), farther)
+
+
+def mean_ahead(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
+    """Return the mean of both `ahead`, each weighted with the other's `side`: where the ray's line meets the wall's."""
+    return (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1 + _NEVER_ZERO)
 
 
 def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> tuple[float, int]:
@@ -553,7 +557,7 @@ def load_compiled(robots: int) -> None:
 
 def _compile(numba: Any) -> Callable[..., float]:
     """Compile `nearest_obstacle` for read-only arrays, which stand for writable ones too."""
-    for helper in (intersect, ray_to_disc, nearest_wall):
+    for helper in (mean_ahead, intersect, ray_to_disc, nearest_wall):
         numba.extending.register_jitable(helper)
     number, rows = numba.float64, numba.types.Array(numba.float64, 2, "C", readonly=True)
     signature = number(number, number, number, number, rows, rows, numba.int64, number, number)

@@ -185,7 +185,7 @@ class World:
             object.__setattr__(self, name, value)
 
     def _repr_html_(self) -> str:
-        from worlds.drawing import world_svg  # only notebooks need it
+        from worlds.picture import world_svg  # only notebooks need it
 
         return world_svg(self)
 

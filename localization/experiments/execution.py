@@ -10,7 +10,7 @@ import json
 import math
 import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed, wait
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from dataclasses import asdict
 from hashlib import sha256
@@ -20,7 +20,15 @@ from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
-from localization.experiments.figure_trial import Figure, FigureResult, figure_result, figure_setup, join_results, run
+from localization.experiments.figure_trial import (
+    Figure,
+    FigureResult,
+    figure_result,
+    figure_setup,
+    join_results,
+    run,
+    run_compiled,
+)
 from nclient.common.files import write_atomic
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
@@ -224,6 +232,9 @@ if TYPE_CHECKING:
 _MAX_BATCH: Final = 125
 """Seeds per batch: larger batches are not faster and need about 0.5 MB per seed."""
 
+_COMPILED_BATCH: Final = 10
+"""Seeds per batch of a thread: their histories stay near the processor, and the progress bar moves."""
+
 _CLUSTER_BATCH: Final = 25
 """Seeds per batch on a cluster: a few seconds of work, so that the slowest worker delays little."""
 
@@ -246,28 +257,39 @@ def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
 def drive_batch(
     figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *, is_compiled: bool = False
 ) -> FigureResult:
-    """Simulate a figure once per seed and return what summary and pictures need; `tick` is called per step."""
-    return figure_result(run(figure_setup(figure), seeds, tick, is_compiled=is_compiled), figure.filtered)
+    """Simulate a figure once per seed and return what summary and pictures need.
+
+    `tick` is called with the steps done: after each step, in machine code at the end.
+    """
+    setup = figure_setup(figure)
+    if not is_compiled:
+        return figure_result(run(setup, seeds, tick), figure.filtered)
+    runs = run_compiled(setup, seeds)
+    tick(int(runs.steps.sum()))
+    return figure_result(runs, figure.filtered)
 
 
-def _is_compiled(seeds: Sequence[int]) -> bool:
+def _is_compiled(figure: Figure, seeds: Sequence[int]) -> bool:
     """Return True if steps are taken in machine code: decided for all parts of the work, so that results agree."""
-    return is_compiled_for(len(seeds)) and find_spec("numba") is not None
+    return figure.filtered and is_compiled_for(len(seeds)) and find_spec("numba") is not None
 
 
 def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> FigureResult:
-    """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
-    parts, is_compiled = split_seeds(seeds, jobs), _is_compiled(seeds)
-    # 1. One batch after another in this process.
+    """Drive a figure with all seeds, in `jobs` processes, or threads of machine code; one job stays in this process."""
+    tick = _counting(report)
+    # 1. Machine code, which releases the interpreter lock.
+    if _is_compiled(figure, seeds):
+        return _drive_compiled(figure, seeds, jobs, tick)
+    # 2. One batch after another in this process.
+    parts = split_seeds(seeds, jobs)
     if len(parts) == 1 or jobs == 1:
-        tick = _counting(report)
-        return join_results([drive_batch(figure, part, tick, is_compiled=is_compiled) for part in parts])
-    # 2. Batches in workers, which count their steps in shared memory.
+        return join_results([drive_batch(figure, part, tick) for part in parts])
+    # 3. Batches in workers, which count their steps in shared memory.
     context = multiprocessing.get_context("spawn")
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
-        futures = [workers.submit(_drive_batch_counting, figure, part, is_compiled) for part in parts]
-        # 3. Show their progress until all are done; the results are joined in the order of the seeds.
+        futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
+        # 4. Show their progress until all are done; the results are joined in the order of the seeds.
         waiting = set(futures)
         while waiting:
             waiting = wait(waiting, timeout=_POLL_INTERVAL_S).not_done
@@ -275,11 +297,24 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambd
         return join_results([future.result() for future in futures])
 
 
+def _drive_compiled(figure: Figure, seeds: Sequence[int], jobs: int, tick: Tally) -> FigureResult:
+    """Drive a figure with all seeds in machine code, in `jobs` threads."""
+    parts = [seeds[first : first + _COMPILED_BATCH] for first in range(0, len(seeds), _COMPILED_BATCH)]
+    with ThreadPoolExecutor(min(jobs, len(parts))) as workers:
+        futures = [workers.submit(drive_batch, figure, part, is_compiled=True) for part in parts]
+        try:
+            for future in as_completed(futures):
+                tick(sum(result.steps for result in future.result().results))
+        finally:
+            workers.shutdown(wait=True, cancel_futures=True)
+        return join_results([future.result() for future in futures])
+
+
 def drive_on_cluster(
     figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
 ) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
-    is_compiled = _is_compiled(seeds)
+    is_compiled = _is_compiled(figure, seeds)
     firsts = range(0, len(seeds), _CLUSTER_BATCH)
     items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
     parts = []
@@ -317,9 +352,9 @@ def _set_counter(counter: Synchronized[int]) -> None:
     _StepCounter.steps = counter
 
 
-def _drive_batch_counting(figure: Figure, seeds: Sequence[int], is_compiled: bool) -> FigureResult:
+def _drive_batch_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
     """Run `drive_batch` in a worker and count its steps for the parent."""
-    return drive_batch(figure, seeds, _count_steps, is_compiled=is_compiled)
+    return drive_batch(figure, seeds, _count_steps)
 
 
 def _count_steps(steps: int) -> None:

@@ -148,12 +148,17 @@ def draw_start_errors(seeds: Sequence[int]) -> Floats:
 
 def draw_step_errors(seeds: Sequence[int], beams: int) -> Iterator[tuple[Floats, Floats]]:
     """Yield for each step, without end, standard normals (seeds, 2) of the motion and (seeds, beams) of the sonars."""
+    for moves, ranges in draw_blocks(seeds, beams):
+        yield from zip(moves, ranges, strict=True)
+
+
+def draw_blocks(seeds: Sequence[int], beams: int) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the numbers of `draw_step_errors` for _BLOCK steps at a time, (_BLOCK, seeds, 2 or beams)."""
     motion = [_generator(seed, _MOTION) for seed in seeds]
     sonar = [_generator(seed, _SONAR) for seed in seeds]
     while True:
         moves = np.stack([rng.standard_normal((_BLOCK, 2)) for rng in motion], axis=1)
-        ranges = np.stack([rng.standard_normal((_BLOCK, beams)) for rng in sonar], axis=1)
-        yield from zip(moves, ranges, strict=True)
+        yield moves, np.stack([rng.standard_normal((_BLOCK, beams)) for rng in sonar], axis=1)
 
 
 def _generator(seed: int, purpose: int) -> np.random.Generator:
@@ -239,15 +244,9 @@ class Runs:
     used: Indices
 
 
-def run(
-    setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None, *, is_compiled: bool = False
-) -> Runs:
-    """Simulate a trial once per seed; after each step `tick` is called with the number of moving robots.
-
-    `is_compiled` takes the steps in machine code (extra `fast`): the same numbers, to rounding.
-    """
+def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
+    """Simulate a trial once per seed in arrays; after each step `tick` is called with the number of moving robots."""
     batch = _start(setup, seeds)
-    step_robots = _compiled_step(setup) if is_compiled and setup.filtered else None
     history: list[Batch] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
     errors = draw_step_errors(seeds, len(setup.body.sonar_angles_rad))
@@ -255,7 +254,7 @@ def run(
         driving = batch.leg < len(setup.goals_in)
         if not driving.any():
             break
-        batch = _advance(setup, batch, motion_error, sonar_error, step_robots)
+        batch = _advance(setup, batch, motion_error, sonar_error)
         history.append(batch)
         steps += driving
         tick(int(driving.sum()))
@@ -272,6 +271,33 @@ def run(
     )
 
 
+def run_compiled(setup: FigureSetup, seeds: Sequence[int]) -> Runs:
+    """Simulate a trial with a filter once per seed in machine code: the numbers of `run`, to rounding.
+
+    Rows of a robot after its last step are 0.
+    """
+    drive_robots, trial = compiled_trial.load_drive(), compiled_trial.trial_of(setup)
+    start, count, most = _start(setup, seeds), len(seeds), setup.max_steps
+    robots = compiled_trial.Robots(
+        start.truth, start.belief.mean.copy(), start.belief.cov.copy(), start.bound.copy(),
+        start.leg.copy(), np.zeros(count, dtype=np.intp),
+    )  # fmt: skip
+    poses, covariances = (most, count, 3), (most, count, 3, 3)
+    history = compiled_trial.History(
+        np.zeros(poses), np.zeros(poses), np.zeros(covariances), np.zeros(covariances),
+        np.zeros((most, count)), np.zeros((most, count), dtype=np.intp),
+    )  # fmt: skip
+    is_moving = np.ones(count, dtype=np.bool_)
+    for motion_error, sonar_error in draw_blocks(seeds, len(setup.body.sonar_angles_rad)):
+        drive_robots(robots, history, motion_error, sonar_error, is_moving, trial)
+        if not is_moving.any():
+            break
+    longest = slice(int(robots.steps.max()))
+    truth, mean, cov, bound, nis = (rows[longest] for rows in history[:-1])
+    reached, used = robots.leg == len(setup.goals_in), history.used[longest]
+    return Runs(tuple(seeds), robots.steps, reached, truth, mean, cov, bound, nis, used)
+
+
 def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:
     """Return all robots at the start; with a filter, the estimates are drawn from the initial covariance."""
     # Odometry alone starts at the true pose with covariance 0.
@@ -283,27 +309,12 @@ def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:
     return Batch(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
 
 
-def _compiled_step(setup: FigureSetup) -> compiled_trial.Step:
-    ring_in = setup.body.sonar_ring_radius_in
-    return compiled_trial.bind(
-        compiled_trial.load_step(), setup.walls, setup.noise, setup.sonar, setup.angles_rad, ring_in
-    )
-
-
-def _advance(
-    setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error: Floats, step_robots: compiled_trial.Step | None
-) -> Batch:
-    """Simulate one step of all robots, in arrays or by the compiled loop."""
+def _advance(setup: FigureSetup, batch: Batch, motion_error: Floats, sonar_error: Floats) -> Batch:
+    """Simulate one step of all robots, in arrays."""
     # 1. Command; robots at their last goal stand.
     driving = batch.leg < len(setup.goals_in)
     goals = setup.goals_in[np.minimum(batch.leg, len(setup.goals_in) - 1)]
     step = next_step(batch.belief.mean, goals, setup.gains) * driving[:, None]
-    if step_robots is not None:
-        truth, mean, cov = batch.truth.copy(), batch.belief.mean.copy(), batch.belief.cov.copy()
-        bound, nis, used = batch.bound.copy(), batch.nis.copy(), batch.used.copy()
-        step_robots(truth, mean, cov, bound, nis, used, step, motion_error, sonar_error)
-        arrived = driving & is_reached(mean, goals, setup.waypoint_radius_in)
-        return Batch(truth, Belief(mean, cov), bound, batch.leg + arrived, nis, used)
     # 2. Move and predict.
     truth = odometry.move(batch.truth, step + np.sqrt(odometry.step_variance(step, setup.noise)) * motion_error)
     belief = odometry.predict(batch.belief, step, setup.noise)

@@ -4,8 +4,8 @@ A state x (..., n), n >= 3, is x_in, y_in, heading_rad, then what a filter adds 
 are seeds, hypotheses or particles. Headings wrap here only: states are added and subtracted by `add` and `difference`.
 
 The formulas of the filter (odometry, update, sonar_ray) are written once, element by element, on `Number`: a float for
-one live robot, an array for many robots at once. `unit_vector`, `sqrt`, `exp`, `hypot`, `clip`, `wrap_angle` and
-`choose` accept either. numba compiles the same source for floats (`compiled`).
+one live robot, an array for many robots at once. `unit_vector`, `sqrt`, `exp`, `hypot`, `atan2`, `clip`, `wrap_angle`
+and `choose` accept either. numba compiles the same source for floats (`compiled`).
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ def exp(value: Number) -> Number:
 def hypot(x: Number, y: Number) -> Number:
     """Return sqrt(x^2 + y^2)."""
     return math.hypot(x, y) if isinstance(x, float) else np.hypot(x, y)
+
+
+def atan2(y: Number, x: Number) -> Number:
+    """Return the direction of (x, y) in [-pi, pi]."""
+    return math.atan2(y, x) if isinstance(x, float) else np.arctan2(y, x)
 
 
 def clip(value: Number, low: float, high: float) -> Number:

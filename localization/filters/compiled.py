@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -25,7 +24,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import Gate, RayModel, RaySonar
 from localization.filters.update import Covariance, DirectModel, Outcome, State
 from worlds import compiled, raycast
-from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path
+from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path, write_mark
 
 ENCODERS: Final = 5
 """Elements of `base.EncoderRow`."""
@@ -212,8 +211,7 @@ class CompiledRing:
             return
         _log.warning("compiling the filter with numba; the result is cached function=%s", model.update.__name__)
         self._warm_up()
-        with suppress(OSError):  # no writable directory
-            mark.touch()
+        write_mark(mark)
 
     def _warm_up(self) -> None:
         """Compile now, not in the first update."""

@@ -10,8 +10,9 @@ model. Parameters have the names that users of other localizers know.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,7 @@ from localization.filters.sonar_ray import (
     wall_map,
 )
 from localization.filters.update import (
+    RANGE_PARAMETERS,
     CorrelatedReadings,
     Refusal,
     UpdateResult,
@@ -188,6 +190,10 @@ class ConeLikelihood:
         return Likelihoods(inlier * weighted.sum(axis=-1) + outlier, outlier, expected, noise.variance(expected))
 
 
+MAX_NIS: Final = 9.0
+"""An innovation beyond three standard deviations is an outlier, and says nothing of the errors of all readings."""
+
+
 # The filter.
 
 
@@ -216,6 +222,11 @@ class ParticleFilter:
         (N, n), the particles at the start, of equal weight.
     rng
         The only source of randomness.
+    range_stds
+        Prior standard deviations of the errors that all readings have in common (`LocalizationConfig`). A Kalman filter
+        beside the particles estimates them from the innovations, and readings are corrected by it.
+    middle_in
+        Middle of the map, about which its scale may be wrong.
     """
 
     def __init__(
@@ -225,7 +236,12 @@ class ParticleFilter:
         odometry: OdometryNoise,
         rng: np.random.Generator,
         parameters: MonteCarlo | None = None,
+        range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0),
     ) -> None:
+        self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
+        """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
+        self._middle_in = np.array(middle_in)
         self.states = states
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._rng = likelihood, odometry, rng
@@ -263,6 +279,9 @@ class ParticleFilter:
         ahead = np.array([np.cos(after.mean[HEADING]), np.sin(after.mean[HEADING])])
         cov[:2, :2] += q_distance * np.outer(ahead, ahead)
         cov[HEADING, HEADING] += q_turn
+        # Readings do not tell colder air from a map that is too small: its poses are off by the scale.
+        off = self.range_errors[1] * (after.mean[:2] - self._middle_in)
+        cov[:2, :2] += np.outer(off, off)
         return add_lag(Belief(after.mean, cov), lag)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
@@ -274,8 +293,10 @@ class ParticleFilter:
         self._correlated.record(sonar, turret_offset_rad)
         power = self._likelihood.information(reading_in, count)
         # 2. Weights, the innovation before them, and the probability of an outlier.
-        at = self._likelihood.at(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
-        innovation_in, nis = weighted_innovation(self.weights, reading_in, at)
+        offset_in, scale = self.range_errors.tolist()
+        range_in = (reading_in - offset_in) / (1.0 + scale)
+        at = self._likelihood.at(self.states[:, :POSE], sonar, turret_offset_rad, range_in)
+        innovation_in, nis = self._innovation(range_in, at, power)
         likelihood, outlier = at.total, at.outlier
         outlier_probability = float(self.weights @ outlier / (self.weights @ likelihood))
         self.weights = self.weights * likelihood**power
@@ -286,6 +307,22 @@ class ParticleFilter:
         result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0, 0.0))
         self._monitor.add(result)
         return result
+
+    def _innovation(self, range_in: float, at: Likelihoods, power: float) -> tuple[float, float]:
+        """Return innovation and NIS of a corrected reading, and correct the common errors by it."""
+        innovation, nis = weighted_innovation(self.weights, range_in, at)
+        if nis == 0.0:
+            return innovation, nis
+        # The variance of the innovation has that of the expected reading by the particles, and by the common errors.
+        R = innovation * innovation / nis
+        H = np.array((1.0, range_in))
+        PHt = self._errors_cov @ H
+        nis = innovation * innovation / float(H @ PHt + R)
+        if nis < MAX_NIS and power > 0.0:
+            K = PHt / (H @ PHt + R / power)
+            self.range_errors += K * innovation
+            self._errors_cov -= np.outer(K, PHt)
+        return innovation, nis
 
     def _resample(self) -> None:
         chosen = resample_low_variance(self.weights, float(self._rng.random()))

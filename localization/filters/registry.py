@@ -65,7 +65,9 @@ def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
     parameters = MonteCarlo()
     states = draw_particles(belief, parameters.particles, rng)
-    return ParticleFilter(states, likelihood_of(config), config.odometry, rng, parameters)
+    return ParticleFilter(
+        states, likelihood_of(config), config.odometry, rng, parameters, config.range_stds or (), _middle(config)
+    )
 
 
 def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:

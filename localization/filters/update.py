@@ -279,6 +279,9 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     R
         Variance of the reading.
     """
+    if len(P) == POSE:
+        K, S = pose_gain(P, H, R)
+        return [K[0], K[1], K[2]], S
     a, b, c = H[0], H[1], H[2]
     if len(H) == POSE + RANGE_PARAMETERS:
         # The usual case of a live robot in one pass.
@@ -294,6 +297,19 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     for j in range(POSE, len(H)):
         S = S + PHt[between + j] * H[j]
     return [value / S for value in PHt], S
+
+
+def pose_gain(
+    P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number
+) -> tuple[tuple[Number, Number, Number], Number]:
+    """Return `kalman_gain` for a state that is a pose, without lists: they cost compiled code more than the numbers."""
+    a, b, c = H[0], H[1], H[2]
+    of_x, of_y, of_heading = P[0], P[1], P[2]
+    x = of_x[0] * a + of_x[1] * b + of_x[2] * c
+    y = of_y[0] * a + of_y[1] * b + of_y[2] * c
+    heading = of_heading[0] * a + of_heading[1] * b + of_heading[2] * c
+    S = x * a + y * b + heading * c + R
+    return (x / S, y / S, heading / S), S
 
 
 def shift(x: State, K: Sequence[float], innovation: float) -> None:
@@ -312,6 +328,11 @@ def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R
     """
     # 1. K = P H^T / S.
     K, S = kalman_gain(P, H, R)
+    return apply_gain(x, P, K, S, innovation)
+
+
+def apply_gain(x: list[Number], P: list[list[Number]], K: Sequence[Number], S: Number, innovation: Number) -> Number:
+    """Correct x and P by a gain, in place; return the NIS: steps 2 and 3 of `kalman_update`."""
     # 2. x+ = x + K innovation.
     for i, gain in enumerate(K):
         x[i] = x[i] + gain * innovation

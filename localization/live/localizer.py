@@ -178,13 +178,13 @@ class Localizer:
         elif now.clock_s > self._history.latest.clock_s:
             self._history.add(now)
         latest = self._history.latest
-        clock_std_s = self._history.clock_std_s if self._history.is_uneven else LAG_STD_S
+        clock_std_s = self._history.clock_rms_s if self._history.is_uneven else LAG_STD_S
         if self._disturbable:
             self._disturbable.detects_slips = not self._history.is_uneven
             if self._slip.rolled_in:
                 self._disturbable.roll_on_spot(self._slip.rolled_in)
         # 2. Every new echo: predict to the pose of its instant, update.
-        firings = self._schedule.readable(self._last_echo_s, latest.clock_s)
+        firings = self._schedule.readable(self._last_echo_s, latest.clock_s, self._history.clock_late_s)
         echoes = self._process(firings, state.sonars_in) if firings else ()
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
         belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two, clock_std_s))

@@ -193,10 +193,11 @@ class FiringSchedule:
         """Seconds until the same sonar fires again."""
         return self.interval_s * len(self.firing)
 
-    def readable(self, after_s: float, now_s: float) -> list[FiringTime]:
+    def readable(self, after_s: float, now_s: float, late_s: float = 0.0) -> list[FiringTime]:
         """Return the firings later than `after_s` whose echoes a state of clock `now_s` certainly shows, in order.
 
-        An echo is readable until its sonar may have fired again.
+        An echo is readable until its sonar may have fired again. The clock may be late by up to `late_s`: a sonar that
+        should have fired by it may not have yet.
         """
         start_s, interval_s, firing = self.start_s, self.interval_s, self.firing
         # 1. The first that is later than `after_s`, and not yet overwritten.
@@ -205,7 +206,7 @@ class FiringSchedule:
         overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(firing)
         first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
         # 2. The last that is certainly past.
-        last = math.floor((now_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
+        last = math.floor((now_s - late_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
         return [
             FiringTime(sonar, start_s + k * interval_s)
             for k in range(first, last + 1)
@@ -338,6 +339,16 @@ class PoseHistory:
     def is_uneven(self) -> bool:
         """True if the clocks of the states err by more than a step of a robot's clock."""
         return self.clock_std_s > CLOCK_STEP_S
+
+    @property
+    def clock_late_s(self) -> float:
+        """Return by how much the clock of a state may be late, if it is uneven: evenly distributed from 0 to this."""
+        return math.sqrt(12.0) * self.clock_std_s if self.is_uneven else 0.0
+
+    @property
+    def clock_rms_s(self) -> float:
+        """Return the root mean square of such a lateness, w / sqrt(3): the motion does not show its mean."""
+        return self.clock_late_s / math.sqrt(3.0)
 
     @property
     def last_two(self) -> tuple[EncoderPose, EncoderPose]:

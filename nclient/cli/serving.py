@@ -26,7 +26,6 @@ from nclient.recording.replayer import RequestKey, RequestReader
 from nclient.transports.listener import Listener, PtyListener, TcpListener
 from nclient.transports.stream import ByteStream
 
-LOOPBACK = "127.0.0.1"
 POLL_INTERVAL_S = 0.2
 """Interval of checks for other clients."""
 DEFAULT_IDLE_LIMIT_S: Final = 5.0
@@ -44,8 +43,8 @@ def add_listener_options(parser: argparse.ArgumentParser) -> None:
     port = whole_number("a port", 0, 65535)
     add_value(place, "--listen", "PORT", port, "listen on this TCP port; 0 takes a free one")
     add_value(place, "--link", "PATH", Path, "create a pseudo-terminal, with PATH as a link to it")
-    parser.add_argument("--bind", default=LOOPBACK, metavar="HOST",
-                        help=f"listen on this address (default: {LOOPBACK})")
+    parser.add_argument("--bind", default=allowlist.LOOPBACK, metavar="HOST",
+                        help=f"listen on this address (default: {allowlist.LOOPBACK})")
     allowlist.add_options(parser)
     add_value(parser, "--limit-silent", "S", seconds,
               "disconnect a client that is idle for S seconds when another client waits with a request "

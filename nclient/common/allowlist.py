@@ -1,16 +1,20 @@
-"""Network addresses that may connect: option `--allow ADDRESS[/BITS]` of all servers.
+"""Network addresses: those that may connect, and those to listen on.
 
-Without the option every address may connect; with it the listed networks, and always this machine, by any of its
+    --allow ADDRESS[/BITS]    of all servers        [HOST:]PORT    of the page and of rosbridge
+
+Without --allow every address may connect; with it the listed networks, and always this machine, by any of its
 addresses. A peer name that is no IP address (a Unix socket) is on this machine. An IPv4 address mapped to IPv6 counts
 as the IPv4 address.
 """
 
 import argparse
 import ipaddress
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+LOOPBACK: Final = "127.0.0.1"
 LOOPBACK_NAME: Final = "localhost"
 NOT_ALLOWED: Final = "that address is not allowed (--allow)"
 """Reason for rejecting a connection."""
@@ -89,3 +93,30 @@ def _network(text: str) -> Network:
         return ipaddress.ip_network(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"an address or a network such as 192.168.1.0/24: {error}") from None
+
+
+class ListenAddress(NamedTuple):
+    """Address to listen on; port 0 takes a free one."""
+
+    host: str = LOOPBACK
+    port: int = 0
+
+
+def parse_listen_address(text: str) -> ListenAddress:
+    """Return the address of PORT or HOST:PORT. Raises ArgumentTypeError."""
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}")
+    return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
+
+
+def listen_address_of(option: str) -> Callable[[str], ListenAddress]:
+    """Return the type of an option whose address may be left out: what follows it may be meant as the world."""
+
+    def read(text: str) -> ListenAddress:
+        try:
+            return parse_listen_address(text)
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentTypeError(f"{error}; the world goes before {option}") from None
+
+    return read

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from nclient.common.allowlist import LOOPBACK, LOOPBACK_NAME
 from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
@@ -44,8 +45,7 @@ MAX_CATCH_UP_S = 0.25
 FAST_STEP_S = 0.1
 # Steps in lockstep for a waiting client before other clients get a turn.
 MAX_LOCKSTEPS_PER_TURN = 100
-LOOPBACK = "127.0.0.1"
-LOOPBACK_NAMES = (LOOPBACK, "localhost")
+LOOPBACK_NAMES = (LOOPBACK, LOOPBACK_NAME)
 # The address of a machine's own host name on Debian; old clients connect to it by default.
 HOST_NAME_LOOPBACK = "127.0.1.1"
 

@@ -17,9 +17,7 @@ from math import atan2, copysign, cos, inf, sin
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NamedTuple, cast
-from zlib import crc32
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from numba import extending, types
@@ -42,8 +40,9 @@ from nserver_emu.simulation.odometry import erroneous_segment
 from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegment, wrap_to_2pi
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
+from worlds.compiled import checksum, compile_function, make_compilable
 from worlds.geometry import FloatArray
-from worlds.raycast import SAME_SIDE_IN2, nearest_wall
+from worlds.raycast import ON_LINE_IN, ON_WALL_IN, mean_ahead, nearest_wall
 from worlds.rings import MAX_SONARS, quantized_range
 from worlds.robots import MAX_BUMPERS
 
@@ -149,20 +148,21 @@ class Loops(NamedTuple):
     start_rings: Callable[..., None]
 
 
-def make_loops(checksum: int) -> Loops:
+def make_loops(sources: int) -> Loops:
     """Return the loops in Python; the checksum of what they call is part of their key in numba's cache."""
 
     def advance(robots: Records, settings: Records, walls: FloatArray, dt_ps: int) -> None:
+        gaps = np.empty(walls.shape[1])
         for i in range(len(robots)):
-            _advance(robots[i], settings[0], walls, robots[i]["time_ps"] + dt_ps)
-        assert checksum >= 0
+            _advance(robots[i], settings[0], walls, gaps, robots[i]["time_ps"] + dt_ps)
+        assert sources >= 0
 
     def observe(robots: Records, settings: Records, walls: FloatArray) -> None:
-        candidates = np.empty((5, walls.shape[1]))
+        ranges = np.empty(walls.shape[1])
         for i in range(len(robots)):
-            _measure(robots[i], settings[0], walls, candidates)
-            robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls)
-        assert checksum >= 0
+            _measure(robots[i], settings[0], walls, ranges)
+            robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls, ranges)
+        assert sources >= 0
 
     def command(
         robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool, timeout_ps: int
@@ -170,13 +170,13 @@ def make_loops(checksum: int) -> Loops:
         for i in range(len(robots)):
             if mask[i]:
                 _command(robots[i], settings[0], values[i], is_relative, timeout_ps)
-        assert checksum >= 0
+        assert sources >= 0
 
     def start_rings(robots: Records, settings: Records, mask: BoolArray, with_all: bool) -> None:
         for i in range(len(robots)):
             if mask[i]:
                 _start_ring(robots[i], settings[0], with_all)
-        assert checksum >= 0
+        assert sources >= 0
 
     return Loops(advance, observe, command, start_rings)
 
@@ -204,14 +204,14 @@ def _start_ring(robot: np.void, settings: np.void, with_all: bool) -> None:
 # Time: `SimulatedRobot.advance_to`.
 
 
-def _advance(robot: np.void, settings: np.void, walls: FloatArray, end_ps: int) -> None:
+def _advance(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, end_ps: int) -> None:
     while robot["time_ps"] < end_ps:
         # 1. The next instant at which something other than motion happens.
         until_ps = min(end_ps, robot["deadline_ps"])
         if not settings["has_exact_motion"]:
             until_ps = min(until_ps, robot["due_ps"])
         # 2. Motion up to it, with the sonars that fire in between.
-        _move(robot, settings, walls, (until_ps - robot["time_ps"]) / PS_PER_S)
+        _move(robot, settings, walls, gaps, (until_ps - robot["time_ps"]) / PS_PER_S)
         robot["time_ps"] = until_ps
         # 3. The events at that instant.
         if until_ps == robot["deadline_ps"]:
@@ -321,7 +321,7 @@ def _turret_direction(robot: np.void, turret_rad: float) -> float:
 # Motion: `SimulatedRobot._move` and `_follow`.
 
 
-def _move(robot: np.void, settings: np.void, walls: FloatArray, span_s: float) -> None:
+def _move(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, span_s: float) -> None:
     left_s = span_s
     while left_s > 0.0:
         segment = _segment(robot, settings, left_s)
@@ -331,12 +331,13 @@ def _move(robot: np.void, settings: np.void, walls: FloatArray, span_s: float) -
             turned_rad = _advance_drive(robot, settings, left_s)
             _turn_uncounted(robot, settings, 0.0, turned_rad)
             return
-        left_s -= _follow(robot, settings, walls, segment, span_s - left_s)
+        left_s -= _follow(robot, settings, walls, gaps, segment, span_s - left_s)
 
 
 def _follow(
-    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, begin_s: float
-) -> float:
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
+    begin_s: float,
+) -> float:  # fmt: skip
     """Follow a segment to its end or to a contact; return the seconds it took."""
     duration = segment.duration_s
     steering_rad = robot["angles"][STEERING]
@@ -352,7 +353,7 @@ def _follow(
         actual = disturbed_segment(actual, settings["alphas"], along_normal, turn_normal)
     # 2. Contact on it, and whether the commanded motion presses on.
     heading = steering_rad + robot["pose"][YAW]
-    contact = _contact(robot, settings, walls, actual, heading)
+    contact = _contact(robot, settings, walls, gaps, actual, heading)
     is_blocked, free_s, commanded_in = False, duration, 0.0
     if contact.time_s < inf:
         free_s, commanded_in = contact.time_s, segment.distance_at(duration)
@@ -395,34 +396,40 @@ def _turn_uncounted(
 
 
 def _contact(
-    robot: np.void, settings: np.void, walls: FloatArray, segment: ConstantAccelerationSegment, heading_rad: float
-) -> Contact:
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
+    heading_rad: float,
+) -> Contact:  # fmt: skip
     # Most segments are shorter than the clearance: nothing needs to be examined.
     distance = segment.length_bound(segment.duration_s)
     if distance == 0.0 or distance < robot["clearance_in"]:
         return NO_CONTACT
-    capsules = _walls_within(robot, settings, walls, distance)
+    capsules = _walls_within(robot, settings, walls, gaps, distance)
     if not len(capsules):
         return NO_CONTACT
     placed = PlacedSegment(robot["pose"][X], robot["pose"][Y], heading_rad, segment)
     return find_contact(placed, settings["radius_in"], capsules)
 
 
-def _walls_within(robot: np.void, settings: np.void, walls: FloatArray, distance_in: float) -> list[Capsule]:
-    """Return the walls within a distance, and update the clearance."""
+def _walls_within(
+    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, distance_in: float
+) -> list[Capsule]:
+    """Return the walls within a distance, and update the clearance; `gaps` (m,) is overwritten."""
+    begin, end = robot["wall_begin"], robot["wall_end"]
+    radius_in, x_in, y_in = settings["radius_in"], robot["pose"][X], robot["pose"][Y]
+    x1, y1, x2, y2 = walls[0], walls[1], walls[2], walls[3]
+    # The gaps to all walls in vectors, as the ranges in `_range_from_axis`; few walls are near.
+    for row in range(np.uint64(begin), np.uint64(end)):
+        gaps[row] = Capsule(x1[row], y1[row], x2[row], y2[row], 0.0).gap_to(radius_in, x_in, y_in)[0]
+    robot["clearance_in"] = _smallest(gaps, begin, end)
     found: list[Capsule] = []
-    clearance = inf
-    for row in range(robot["wall_begin"], robot["wall_end"]):
-        capsule = Capsule(walls[0, row], walls[1, row], walls[2, row], walls[3, row], 0.0)
-        gap = capsule.gap_to(settings["radius_in"], robot["pose"][X], robot["pose"][Y])[0]
-        clearance = min(clearance, gap)
-        if gap <= distance_in:
-            found.append(capsule)
-    robot["clearance_in"] = clearance
+    if robot["clearance_in"] <= distance_in:
+        for row in range(begin, end):
+            if gaps[row] <= distance_in:
+                found.append(Capsule(x1[row], y1[row], x2[row], y2[row], 0.0))
     return found
 
 
-def _bumpers(robot: np.void, settings: np.void, walls: FloatArray) -> int:
+def _bumpers(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray) -> int:
     bits = 0
     # Nothing can be that near.
     if robot["clearance_in"] > TOUCH_IN:
@@ -430,7 +437,7 @@ def _bumpers(robot: np.void, settings: np.void, walls: FloatArray) -> int:
     # The bumpers of a differential drive turn with its heading.
     frame_rad = 0.0 if settings["track_in"] == NO_TRACK else robot["angles"][STEERING]
     front = frame_rad + robot["pose"][YAW]
-    for capsule in _walls_within(robot, settings, walls, TOUCH_IN):
+    for capsule in _walls_within(robot, settings, walls, gaps, TOUCH_IN):
         _, away_x, away_y = capsule.gap_to(0.0, robot["pose"][X], robot["pose"][Y])
         bits |= touched_bumpers(atan2(-away_y, -away_x) - front, settings["bumper_angles_rad"][: settings["bumpers"]])
     return bits
@@ -447,11 +454,16 @@ def _fire_along(
     before_s = taken_s - TIME_TOLERANCE_S
     into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
     heading = robot["angles"][STEERING] + robot["pose"][YAW]
+    round_ps = settings["entries"] * settings["interval_ps"]
     while into_s < before_s:
-        into_s = max(into_s, 0.0)
-        turret_rad = _turret_direction(robot, _turret_after(robot, settings, into_s))
-        dx, dy = segment.displacement(heading, into_s)
-        _fire_entry(robot, settings, robot["pose"][X] + dx, robot["pose"][Y] + dy, turret_rad)
+        # A ping that the same sonars repeat within this segment leaves nothing but its noise.
+        if (robot["due_ps"] + round_ps - robot["time_ps"]) / PS_PER_S - begin_s < before_s:
+            _skip_entry(robot, settings)
+        else:
+            into_s = max(into_s, 0.0)
+            turret_rad = _turret_direction(robot, _turret_after(robot, settings, into_s))
+            dx, dy = segment.displacement(heading, into_s)
+            _fire_entry(robot, settings, robot["pose"][X] + dx, robot["pose"][Y] + dy, turret_rad)
         into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
 
 
@@ -473,6 +485,16 @@ def _fire_entry(
     robot["due_ps"] += settings["interval_ps"]
 
 
+def _skip_entry(robot: np.void, settings: np.void) -> None:
+    """Fire the next entry of the order without a ping: only its noise is drawn."""
+    if settings["has_sonar_noise"]:
+        entry = robot["fired"] % settings["entries"]
+        for _ in range(settings["starts"][entry], settings["starts"][entry + 1]):
+            standard_normal(robot["streams"][SONAR])
+    robot["fired"] += 1
+    robot["due_ps"] += settings["interval_ps"]
+
+
 def _fire(
     robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float,
     turret_rad: float,
@@ -486,55 +508,81 @@ def _fire(
     robot["is_pending"][sonar_number] = 1
 
 
-def _measure(robot: np.void, settings: np.void, walls: FloatArray, candidates: FloatArray) -> None:
-    """Compute the readings of the sonars that have fired since the last call."""
-    # Columns one by one: a slice of two dimensions has strides, and loops over it do not use vectors.
+def _measure(robot: np.void, settings: np.void, walls: FloatArray, ranges: FloatArray) -> None:
+    """Compute the readings of the sonars that have fired since the last call; `ranges` (m,) is overwritten."""
+    # Columns one by one, once for all rays.
+    columns = walls[0], walls[1], walls[2], walls[3]
     begin, end = robot["wall_begin"], robot["wall_end"]
-    columns = walls[0, begin:end], walls[1, begin:end], walls[2, begin:end], walls[3, begin:end]
+    is_complete = True
     for number in range(settings["sonars"]):
         if robot["is_pending"][number]:
-            robot["is_pending"][number] = 0
-            if not settings["is_dead"][number]:
-                ping = robot["pings"][number]
-                range_in = noisy_range(
-                    _range_from_axis(ping[0], ping[1], cos(ping[2]), sin(ping[2]), columns, candidates)
-                    - settings["ring_in"],
-                    ping[3], settings["range_std_relative"], settings["range_std_floor_in"],
-                )  # fmt: skip
-                robot["readings_in"][number] = quantized_range(
-                    range_in + settings["offsets_in"][number], settings["min_range_in"], settings["max_range_in"],
-                    settings["resolution_in"], settings["no_echo_in"],
-                )  # fmt: skip
+            x_in, y_in, direction_rad, _ = robot["pings"][number]
+            range_in = _range_from_axis(x_in, y_in, cos(direction_rad), sin(direction_rad), columns, begin, end, ranges)
+            if range_in >= 0.0:
+                _read(robot, settings, number, range_in)
+            else:
+                is_complete = False
+    # The others, in a loop of their own: numba counts the references to arrays even where `nearest_wall` is not called.
+    if not is_complete:
+        for number in range(settings["sonars"]):
+            if robot["is_pending"][number]:
+                x_in, y_in, direction_rad, _ = robot["pings"][number]
+                x1, y1, x2, y2 = columns
+                rows = zip(x1[begin:end], y1[begin:end], x2[begin:end], y2[begin:end])  # noqa: B905  for numba
+                range_in = nearest_wall(x_in, y_in, cos(direction_rad), sin(direction_rad), rows)[0]
+                _read(robot, settings, number, range_in)
+
+
+def _read(robot: np.void, settings: np.void, sonar_number: int, from_axis_in: float) -> None:
+    """Set the reading of a sonar that has fired, from its true range."""
+    robot["is_pending"][sonar_number] = 0
+    if not settings["is_dead"][sonar_number]:
+        range_in = noisy_range(
+            from_axis_in - settings["ring_in"], robot["pings"][sonar_number][3], settings["range_std_relative"],
+            settings["range_std_floor_in"],
+        )  # fmt: skip
+        robot["readings_in"][sonar_number] = quantized_range(
+            range_in + settings["offsets_in"][sonar_number], settings["min_range_in"], settings["max_range_in"],
+            settings["resolution_in"], settings["no_echo_in"],
+        )  # fmt: skip
+
+
+UNDECIDED: Final = -1.0
+"""Stands for the range of a ray along a wall, or through an end of one: `nearest_wall` computes it."""
 
 
 def _range_from_axis(
-    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], candidates: FloatArray
-) -> float:
-    """Return the range of `nearest_wall`, to the same bit.
+    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], begin: int, end: int,
+    ranges: FloatArray,
+) -> float:  # fmt: skip
+    """Return the range of `nearest_wall` among the walls from row `begin` to `end`, or UNDECIDED.
 
     Parameters
     ----------
     columns
         x1, y1, x2, y2 of m walls.
-    candidates
-        (5, m or more), overwritten.
+    ranges
+        (m,), overwritten.
     """
-    # 1. The walls that `nearest_wall` skips in its first step, in a loop without branches, which uses vectors.
-    products = candidates[0]
+    # The range to each wall without a branch: LLVM computes several at a time, and which walls a ray meets cannot be
+    # predicted. Rows are unsigned: others may count from the end, and with the test for that it uses no vectors.
     x1, y1, x2, y2 = columns
-    for row in range(len(x1)):
-        side_1 = dx * (y1[row] - y_in) - dy * (x1[row] - x_in)
-        side_2 = dx * (y2[row] - y_in) - dy * (x2[row] - x_in)
-        products[row] = side_1 * side_2
-    # 2. The others, of which few are left.
-    found = 0
-    for row in range(len(x1)):
-        if products[row] <= SAME_SIDE_IN2:
-            candidates[1, found], candidates[2, found] = x1[row], y1[row]
-            candidates[3, found], candidates[4, found] = x2[row], y2[row]
-            found += 1
-    rows = zip(candidates[1, :found], candidates[2, :found], candidates[3, :found], candidates[4, :found])  # noqa: B905
-    return nearest_wall(x_in, y_in, dx, dy, rows)[0]
+    for row in range(np.uint64(begin), np.uint64(end)):
+        to_x_1, to_y_1, to_x_2, to_y_2 = x1[row] - x_in, y1[row] - y_in, x2[row] - x_in, y2[row] - y_in
+        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        range_in = mean_ahead(ahead_1, side_1, ahead_2, side_2)
+        met_in = max(range_in, 0.0) if (side_1 * side_2 <= 0.0) & (range_in >= -ON_WALL_IN) else inf
+        ranges[row] = UNDECIDED if min(abs(side_1), abs(side_2)) <= ON_LINE_IN else met_in
+    return _smallest(ranges, begin, end)
+
+
+def _smallest(values: FloatArray, begin: int, end: int) -> float:
+    """Return the smallest of the values from row `begin` to `end`; none is NaN."""
+    smallest = inf
+    for row in range(np.uint64(begin), np.uint64(end)):
+        smallest = min(smallest, values[row])
+    return smallest
 
 
 # Compiling.
@@ -551,11 +599,11 @@ _FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (
     collision._solve, collision._to_circle, collision._length, collision.touched_bumpers, drive.axis_rates,
     drive.path_segment, drive.until_reversal, noise._walk_std, noise.disturbed_segment, odometry.erroneous_segment,
     segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range, sonar.shifted,
-    raycast.nearest_wall, raycast.intersect, rings.quantized_range,
+    raycast.nearest_wall, raycast.intersect, raycast.mean_ahead, rings.quantized_range,
     _command, _start_ring, _advance, _move_at,
     _move_by, _begin, _now, _after, _advance_axis, _halt, _segment, _advance_drive, _turret_after,
     _turret_direction, _move, _follow, _turn_uncounted, _contact, _walls_within, _bumpers, _fire_along, _fire_due,
-    _fire_entry, _fire, _measure, _range_from_axis,
+    _fire_entry, _skip_entry, _fire, _measure, _read, _range_from_axis,
 )  # fmt: skip
 
 _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Capsule, Contact, PlacedSegment)
@@ -565,28 +613,24 @@ _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Caps
 @cache
 def load_loops() -> Loops:
     """Return the compiled loops: compiled at the first call of each, or read from numba's cache."""
-    for function in _FUNCTIONS:
-        extending.register_jitable(function)
+    make_compilable(_FUNCTIONS)
     for kind in _CLASSES:
         for name, method in vars(kind).items():
             if isfunction(method) and not name.startswith("__"):
                 extending.overload_method(types.BaseNamedTuple, name)(_of_class(kind, method))
+    # Vectors for the minimum, whose result they do not change: nothing is NaN, and zeros of both signs become one.
+    extending.register_jitable(fastmath={"nnan", "nsz"})(_smallest)
     extending.overload(math.remainder, strict=False)(_remainder_form)
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    checksum = 0
-    for module in _SOURCES:
-        checksum = crc32(Path(str(module.__file__)).read_bytes(), checksum)
-    return Loops(*map(_compiled, make_loops(checksum)))
+    return Loops(*map(_compiled, make_loops(checksum(*(module.__file__ for module in _SOURCES)))))
 
 
 def _compiled(loop: Callable[..., None]) -> Callable[..., None]:
-    # Threads run a loop on parts of the array. numba's own parallel loops would compile every function twice.
-    try:
-        compiled: Any = numba.njit(nogil=True, cache=True)(loop)
-        is_cached = any(Path(compiled.stats.cache_path).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi"))
-    except RuntimeError:  # no writable directory for the cache
-        compiled, is_cached = numba.njit(nogil=True)(loop), False
-    if not is_cached:
+    # Threads run a loop on parts of the array; numba's own parallel loops would compile every function twice. With the
+    # test for zero in divisions LLVM would use no vectors.
+    compiled: Any = compile_function(loop, is_division_tested=False)
+    folder = compiled.stats.cache_path
+    if not folder or not any(Path(folder).glob(f"batch_kernel.make_loops*{loop.__name__}*.nbi")):
         log.warning("compiling the batch simulation with numba; the result is cached function=%s", loop.__name__)
     return cast("Callable[..., None]", compiled)
 

@@ -14,11 +14,12 @@ import importlib.util
 import logging
 import sys
 import webbrowser
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
+from nclient.common.allowlist import ListenAddress, listen_address_of
 from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
@@ -31,21 +32,13 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DEFAULT_PORT: Final = 7080
-LOOPBACK: Final = "127.0.0.1"
-
-
-class ListenAddress(NamedTuple):
-    """Address on which the page is served."""
-
-    host: str = LOOPBACK
-    port: int = DEFAULT_PORT
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?", const=ListenAddress(),
-                       metavar="PORT",
+    group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?",
+                       const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
                        f"(default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
                        "needs the extra viewer; the world goes before --viewer)")
@@ -69,7 +62,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Report options that exclude each other as wrong usage."""
     if options.viewer is None and (options.class_file is not None or options.localize or options.open_browser):
-        options.viewer = ListenAddress()
+        options.viewer = ListenAddress(port=DEFAULT_PORT)
     if options.viewer_token_file is not None and options.viewer is None:
         parser.error("--viewer-token-file is for the page: give --viewer too")
     if options.method and options.viewer is None:
@@ -151,14 +144,6 @@ def require_aiohttp() -> None:
         raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
-def parse_listen_address(text: str) -> ListenAddress:
-    """Return the address of PORT or HOST:PORT. Raises ArgumentTypeError."""
-    host, _, port = text.rpartition(":")
-    if not port.isdecimal() or int(port) > 65535:
-        raise argparse.ArgumentTypeError(f"a port is 0 to 65535, or HOST:PORT, not {text!r}")
-    return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
-
-
 def parse_own_method(text: str) -> str:
     """Return `FILE.py:CLASS` with the whole path, or `MODULE:CLASS` as it is. Raises ArgumentTypeError."""
     place, _, name = text.rpartition(":")
@@ -171,15 +156,3 @@ def parse_own_method(text: str) -> str:
     if not path.is_file():
         raise argparse.ArgumentTypeError(f"{place}: no such file; expected FILE.py:CLASS")
     return f"{path}:{name}"
-
-
-def listen_address_of(option: str) -> Callable[[str], ListenAddress]:
-    """Return the type of an option whose address may be left out: what follows it may be meant as the world."""
-
-    def read(text: str) -> ListenAddress:
-        try:
-            return parse_listen_address(text)
-        except argparse.ArgumentTypeError as error:
-            raise argparse.ArgumentTypeError(f"{error}; the world goes before {option}") from None
-
-    return read

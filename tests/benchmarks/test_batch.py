@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +14,13 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "batch.py"
 
 
 @pytest.mark.long
-def test_json_has_figures_references_and_targets() -> None:
+def test_json_has_figures_references_and_targets(tmp_path: Path) -> None:
     pytest.importorskip("numba")
     command = [sys.executable, str(SCRIPT), "--json", "--robots", "20", "--steps", "2", "--rounds", "1"]
-    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    # Compiled in half the time, and half as fast; in a cache of its own.
+    environment = os.environ | {"NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    found = json.loads(done.stdout)
     assert len(found) == 2
     for result in found.values():
         assert (result["robots"], result["walls"], result["target_robot_steps_per_s"]) == (20, 50, 300_000)

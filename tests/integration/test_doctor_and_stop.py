@@ -10,10 +10,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from nclient import connect
 from tests.programs.forked import Forked
 
-NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
+NOMAD = [
+    sys.executable, "-c",
+    "import sys; from nclient.cli.main import main; from tests.programs.ports import select_ports; "
+    "select_ports(); sys.exit(main())",
+]  # fmt: skip
 FAULTS = """
 seed = 3
 [[rule]]
@@ -38,6 +44,7 @@ def nomad(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_a_robot_on_its_own_line(tmp_path: Path) -> None:
     with robot_on_a_line(tmp_path / "robot") as (tcp, line):
         done = nomad("doctor", line, "--exchanges", "60", "--json")
@@ -50,6 +57,7 @@ def test_a_robot_on_its_own_line(tmp_path: Path) -> None:
             assert not driver.refresh().moving
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_doctor_on_line_that_drops_every_third_frame(tmp_path: Path) -> None:
     plan = tmp_path / "faults.toml"
     plan.write_text(FAULTS)

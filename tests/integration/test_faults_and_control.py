@@ -16,7 +16,7 @@ from nclient.backends.nserver import NserverBackend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
-from nclient.transports.serial import SerialStream
+from nclient.transports.serial import open_port
 from nclient.transports.tcp import TcpStream
 from nserver_emu import cli
 from tests.programs.forked import Forked
@@ -62,7 +62,7 @@ class Bench:
         return NserverBackend(TcpStream("127.0.0.1", int(self.listening["nserver"].rpartition(":")[2])))
 
     def on_its_line(self, timeout_s: float = 5.0) -> DirectBackend:
-        return DirectBackend(SerialStream(str(self.folder / "robot")), N150, timeout_s=timeout_s)
+        return DirectBackend(open_port(str(self.folder / "robot")), N150, timeout_s=timeout_s)
 
 
 @contextmanager
@@ -99,6 +99,7 @@ def answered(backend: DirectBackend | NserverBackend, call: Call, times: int) ->
     return found
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_fault_plan_on_all_lines_with_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "plan.toml").write_text(PLAN)
     planned = bench(folder, "--faults", str(folder / "plan.toml"))
@@ -122,6 +123,7 @@ def test_fault_plan_on_all_lines_with_counts(folder: Path, capsys: pytest.Captur
         assert daemon.ctl("status", capsys=capsys)["robots"][0]["moving"]
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_fault_plan_at_run_time_disconnects_clients(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -176,6 +178,7 @@ def test_world_file_is_not_a_socket(capsys: pytest.CaptureFixture[str]) -> None:
     assert "not 'thesis_room'; the world goes before --control" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_faults_between_gateway_and_robot(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The robot of the gateway is that of another server; requests that the plan rejects never reach it."""
     with bench(folder) as robot:

@@ -11,6 +11,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from nclient import connect
 from nclient.errors import ConnectionLost, RobotRefused
 from nclient.robot import Robot
@@ -101,6 +103,7 @@ def test_lost_robot_is_error_6_until_it_returns() -> None:
     assert errors.count("the real robot answers again") == 1
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_gateway_limits_speed_and_reconnects_to_line(tmp_path: Path) -> None:
     link, report = tmp_path / "nomad", tmp_path / "shadow.csv"
     robot_words = ("--port", "0", "--serial-link", str(link))

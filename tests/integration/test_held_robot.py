@@ -25,6 +25,7 @@ def control(command: str, path: Path, *words: str) -> None:
     assert ctl([command, "--control", str(path), *words]) == 0
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_gateway_informs_program_of_held_real_robot(tmp_path: Path) -> None:
     link, path = tmp_path / "line", tmp_path / "ctl"
     with (

@@ -227,6 +227,7 @@ def test_usage_errors(words: tuple[str, ...]) -> None:
     assert done.returncode == 2
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_lines_recorded_at_both_ends_replay(tmp_path: Path) -> None:
     link, whole = tmp_path / "robot", tmp_path / "daemon.log"
     words = ("--robot", "n200", "--robotd", "0", "--serial-link", str(link), "--record", str(whole))

@@ -81,6 +81,7 @@ def reconnect_time_s(robot: Robot) -> float:
     raise AssertionError(f"not back within {BACK_S:g} s")
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_client_survives_killed_servers_and_hangups(daemon: Daemon, request: pytest.FixtureRequest) -> None:
     times = request.config.getoption("--restarts")
     after_s: dict[str, list[float]] = {"pulled": [], "killed": []}

@@ -35,6 +35,8 @@ LOST_ANSWER = '[[rule]]\ndo = "drop"\ncommand = "pr"\ndirection = "reply"\nfirst
 DRIVES_AND_ASKS = """
 import sys, time
 from nclient import connect
+from tests.programs.ports import select_ports
+select_ports()
 robot = connect(sys.argv[1])
 robot.drive(translation_in_s=0.5)
 while True:
@@ -98,6 +100,7 @@ class ProgramError(Exception):
     """An exception of a program."""
 
 
+@pytest.mark.usefixtures("serial_ports")
 @pytest.mark.parametrize("error", [None, ProgramError], ids=["returns", "raises"])
 def test_finished_program_stops_its_robot(error: type[ProgramError] | None, folder: Path) -> None:
     with robot_on_a_line(folder) as (line, observer), held_open(line):
@@ -109,6 +112,7 @@ def test_finished_program_stops_its_robot(error: type[ProgramError] | None, fold
         wait_until(lambda: not is_moving(observer))
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_killed_program_stops_robot_on_open_line(folder: Path) -> None:
     with robot_on_a_line(folder) as (line, observer), held_open(line):
         command = [sys.executable, "-c", DRIVES_AND_ASKS, f"{line}?tm_s=2"]
@@ -120,6 +124,7 @@ def test_killed_program_stops_robot_on_open_line(folder: Path) -> None:
         wait_until(lambda: not is_moving(observer))
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_killed_gateway_stops_robot_on_open_line(folder: Path) -> None:
     with (
         robot_on_a_line(folder) as (line, observer),
@@ -134,6 +139,7 @@ def test_killed_gateway_stops_robot_on_open_line(folder: Path) -> None:
         wait_until(lambda: not is_moving(observer))
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_suspended_program_stops_robot_and_resuming_keeps_it(folder: Path) -> None:
     with robot_on_a_line(folder) as (line, observer):
         command = [sys.executable, "-c", DRIVES_AND_ASKS, f"{line}?tm_s=2&timeout_s=5"]
@@ -153,6 +159,7 @@ def test_suspended_program_stops_robot_and_resuming_keeps_it(folder: Path) -> No
                 program.kill()
 
 
+@pytest.mark.usefixtures("serial_ports")
 @pytest.mark.parametrize("plan", [SILENCE, NOISE], ids=["silence", "noise"])
 def test_silent_line_stops_robot_and_raises(plan: str, folder: Path) -> None:
     (folder / "plan.toml").write_text(plan)
@@ -172,6 +179,7 @@ def test_silent_line_stops_robot_and_raises(plan: str, folder: Path) -> None:
         assert cli.main(["ctl", "--control", str(folder / "ctl"), "faults", "clear"]) == 0
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_restarted_robot_gets_conf_tm_but_no_motion(folder: Path) -> None:
     with robot_on_a_line(folder) as (line, observer):
         robot = connect(f"{line}?tm_s=2&feed=0&reconnect=0.2")
@@ -192,6 +200,7 @@ def comes_back(robot: Robot) -> bool:
     return False
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_motion_with_lost_reply_is_not_repeated(folder: Path) -> None:
     (folder / "plan.toml").write_text(LOST_ANSWER)
     with (
@@ -204,6 +213,7 @@ def test_motion_with_lost_reply_is_not_repeated(folder: Path) -> None:
         assert observer.truth().x_in == pytest.approx(2)
 
 
+@pytest.mark.usefixtures("serial_ports")
 def test_second_program_on_line_is_rejected(folder: Path) -> None:
     with robot_on_a_line(folder) as (line, observer), connect(line) as robot:
         robot.drive(translation_in_s=0.5)

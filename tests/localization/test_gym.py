@@ -64,10 +64,10 @@ def test_pilot_reaches_goals_behind_walls() -> None:
 
 
 def test_scores_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["baselines", "--episodes", "2", "--environments", "GoTo"]
-    assert __main__.main([*words, "--json"]) == 0
+    words = ["baselines", "--environments", "GoTo", "--episodes"]
+    assert __main__.main([*words, "2", "--json"]) == 0
     random, follower, pilot = json.loads(capsys.readouterr().out)
     assert [row["policy"] for row in (random, follower, pilot)] == ["random", "wall follower", "pilot"]
     assert pilot["success"] == 1.0 >= follower["success"]
-    assert __main__.main(words) == 0
+    assert __main__.main([*words, "1"]) == 0
     assert "Nomad/GoTo-v0" in capsys.readouterr().out

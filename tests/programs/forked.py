@@ -162,6 +162,9 @@ def _run_program(
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = [program, *words]
+    from tests.programs.ports import select_ports
+
+    select_ports()
     if program == "nserver":
         from nserver_emu.cli import main
     else:

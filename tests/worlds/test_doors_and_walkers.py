@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError, WorldFileError
-from worlds.drawing import world_svg
 from worlds.io import format_world, load_world, parse_world
+from worlds.picture import world_svg
 from worlds.raycast import cast_ray
 from worlds.validate import validate_world
 from worlds.world import MAX_DOORS, MAX_ROUTE_POINTS, MAX_WALKERS, Door, Polygon, Walker, World

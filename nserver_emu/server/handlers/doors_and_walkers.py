@@ -26,6 +26,8 @@ from nserver_emu.server.handlers.runtime_settings import (
     MIN_WALL_IN,
     check_touches_no_robot,
     is_on_map,
+    malformed_as,
+    moved,
     read_name,
     read_points,
 )
@@ -51,7 +53,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     world = server.simulation.world
     doors, was, now = list(world.doors), None, None
     row = len(doors)
-    try:
+    with malformed_as(DOOR_USAGE, wanted):
         # 1. The door as it is, and as it will be.
         if "put" in wanted:
             now = Door(read_name(wanted["name"]), _ends(wanted["put"]), _is_true(wanted.get("open"), False))
@@ -60,14 +62,10 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
             was = now = doors[row]
             if wanted.get("remove") is True:
                 now = None
-            elif wanted.get("by") is not None or wanted.get("to") is not None:
-                now = replace(was, ends_in=_ends(_moved(was.ends_in, wanted)))
+            elif (ends := moved(was.ends_in, wanted)) is not None:
+                now = replace(was, ends_in=_ends(ends))
             else:
                 now = replace(was, is_open=_is_true(wanted.get("open"), not was.is_open))
-    except ControlError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ControlError(f"{DOOR_USAGE}, not {wanted!r:.200}") from None
     # 2. Check that it fits.
     if now is not None and was is None:
         if len(doors) >= MAX_DOORS:
@@ -88,7 +86,7 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
     world = server.simulation.world
     walkers, was, now = list(world.walkers), None, None
     row = len(walkers)
-    try:
+    with malformed_as(WALKER_USAGE, wanted):
         # 1. The walker as it is, and as it will be.
         if "put" in wanted:
             numbers = {key: float(wanted[name]) for name, key in _NUMBERS.items() if wanted.get(name) is not None}
@@ -97,12 +95,8 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
         else:
             row = _walker_of(walkers, read_points(wanted["walker"]))
             was = walkers[row]
-            if wanted.get("by") is not None or wanted.get("to") is not None:
-                now = replace(was, points_in=_moved(was.points_in, wanted))
-    except ControlError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ControlError(f"{WALKER_USAGE}, not {wanted!r:.200}") from None
+            if (points := moved(was.points_in, wanted)) is not None:
+                now = replace(was, points_in=points)
     # 2. Check that it fits.
     if now is not None:
         _check_walker(server, now)
@@ -148,14 +142,6 @@ def _ends(value: Any) -> tuple[Point, Point]:
     if len(points) != 2 or math.dist(*points) < MIN_WALL_IN or not is_on_map(points):
         raise ControlError(f"door: expected two ends on the map, at least {MIN_WALL_IN:g} in apart")
     return points[0], points[1]
-
-
-def _moved(points: Sequence[Point], wanted: Mapping[str, Any]) -> tuple[Point, ...]:
-    """Return points after a change "by" or "to"."""
-    if wanted.get("to") is not None:
-        return read_points(wanted["to"])
-    ((dx_in, dy_in),) = read_points([wanted["by"]])
-    return tuple((x + dx_in, y + dy_in) for x, y in points)
 
 
 def _door_of(doors: Sequence[Door], name: object) -> int:

@@ -21,7 +21,8 @@ repeats them. Errors are ControlError or WorldFileError, and say what is valid.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import PurePath
 from typing import Any, Final
@@ -47,24 +48,32 @@ MIN_WALL_IN: Final = 0.5
 OBSTACLE_USAGE: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
 
 
+@contextmanager
+def malformed_as(usage: str, wanted: Mapping[str, Any]) -> Iterator[None]:
+    """Raise ControlError with the usage if keys of a change are missing, or values cannot be read."""
+    try:
+        yield
+    except ControlError:  # one of a part, with its own words
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise ControlError(f"{usage}, not {wanted!r:.200}") from None
+
+
 def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any]:
     """Add, move, change or remove an obstacle; return what undoes it."""
     # 1. Find the obstacle and its new shape.
     obstacles = list(server.simulation.world.obstacles)
     was: Polygon | None = None
     now: Polygon | None
-    try:
+    with malformed_as(OBSTACLE_USAGE, wanted):
         if "put" in wanted:
             now = Polygon(read_points(wanted["put"]), read_name(wanted.get("name", "")))
             number = _index(wanted.get("at"), len(obstacles))
         else:
             number = _number_of(obstacles, read_points(wanted["corners"]))
             was = obstacles[number]
-            now = _moved(was, wanted)
-    except ControlError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ControlError(f"{OBSTACLE_USAGE}, not {wanted!r:.200}") from None
+            corners = moved(was.corners_in, wanted)
+            now = None if corners is None else Polygon(corners, was.name)
     # 2. Check that it fits.
     if now is not None:
         _check_obstacle(server, now)
@@ -83,14 +92,10 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     """Add, move, change or remove an inner wall; return what undoes it."""
     world = server.simulation.world
     # 1. The wall as it is, as it will be, and how accurately that was measured.
-    try:
+    with malformed_as(WALL_USAGE, wanted):
         row, was, now = _wanted_wall(world, wanted)
         accuracy = _read_accuracy(wanted.get("accuracy"))
         name = read_name(wanted["name"]).strip() if "name" in wanted else None
-    except ControlError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ControlError(f"{WALL_USAGE}, not {wanted!r:.200}") from None
     before = world.accuracies.get(row)
     if accuracy is None and was is not None and now is not None and _is_on_line(now, was):
         # Longer or shorter, it is where it was measured to be.
@@ -130,12 +135,7 @@ def _wanted_wall(
     row = _row_of(world, read_points(wanted["wall"]))
     x1, y1, x2, y2 = world.inner_walls[row].tolist()
     was = ((x1, y1), (x2, y2))
-    if wanted.get("to") is not None:
-        return row, was, read_points(wanted["to"])
-    if wanted.get("by") is not None:
-        ((dx_in, dy_in),) = read_points([wanted["by"]])
-        return row, was, ((x1 + dx_in, y1 + dy_in), (x2 + dx_in, y2 + dy_in))
-    return row, was, None
+    return row, was, moved(was, wanted)
 
 
 def check_touches_no_robot(server: ServerState, ends: Sequence[Point], kind: str) -> None:
@@ -170,14 +170,14 @@ def _row_of(world: World, ends: Sequence[Point]) -> int:
     raise ControlError("wall: there is no inner wall with these ends, or it was changed meanwhile")
 
 
-def _moved(was: Polygon, wanted: Mapping[str, Any]) -> Polygon | None:
-    """Return the obstacle after the change, None if it is removed."""
+def moved(points: Sequence[Point], wanted: Mapping[str, Any]) -> tuple[Point, ...] | None:
+    """Return points after a change "to" others or "by" a vector; None for neither."""
     if wanted.get("to") is not None:
-        return Polygon(read_points(wanted["to"]), was.name)
+        return read_points(wanted["to"])
     if wanted.get("by") is None:
         return None
     ((dx_in, dy_in),) = read_points([wanted["by"]])
-    return was.moved(dx_in, dy_in)
+    return tuple((x + dx_in, y + dy_in) for x, y in points)
 
 
 def _check_obstacle(server: ServerState, obstacle: Polygon) -> None:

@@ -221,3 +221,42 @@ def _reading(pose: Floats, sonar: int) -> float:
     angle = pose[2] + N150.sonar_angles_rad[sonar]
     ranges, _ = cast_rays(pose[:2], (np.cos(angle), np.sin(angle)), ROOM)
     return float(round(float(ranges) - N150.sonar_ring_radius_in))
+
+
+# Errors that all readings have in common.
+
+RANGE_STDS = (0.35, 0.01)
+
+
+@pytest.mark.parametrize(("offset_in", "scale"), [(0.5, 0.0), (-0.3, 0.01), (0.2, -0.015)])
+def test_common_errors_are_those_of_a_regression(offset_in: float, scale: float) -> None:
+    """Readings of a robot whose pose is certain: Bayesian linear regression of reading less range on (1, range)."""
+    x, y, heading = 20.0, 25.0, 0.7
+    angles = heading + np.array(N150.sonar_angles_rad)
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    ranges = cast_rays(np.tile([x, y], (16, 1)), along, ROOM)[0] - N150.sonar_ring_radius_in
+    readings = (1.0 + scale) * ranges + offset_in
+    particles = ParticleFilter(
+        np.tile([x, y, heading], (20, 1)), RayLikelihood(ROOM, N150, WIRE_SONAR), OdometryNoise(),
+        np.random.default_rng(0), range_stds=RANGE_STDS,
+    )  # fmt: skip
+    for sonar, reading in enumerate(readings.tolist()):
+        assert particles.update(sonar, 0.0, reading).nis < 9.0
+    design = np.column_stack([np.ones(16), ranges])
+    information = design.T @ (design / WIRE_SONAR.variance(ranges)[:, None]) + np.diag(1.0 / np.square(RANGE_STDS))
+    expected = np.linalg.solve(information, design.T @ ((readings - ranges) / WIRE_SONAR.variance(ranges)))
+    # The linear problem but for the correction by the errors so far: 0.002 in, and 0.02 %.
+    assert particles.range_errors[0] == pytest.approx(expected[0], rel=0.05, abs=2e-3)
+    assert particles.range_errors[1] == pytest.approx(expected[1], rel=0.05, abs=2e-4)
+    # The scale may be the map's: what is reported is widened by it, about the middle.
+    away = np.array([x, y]) * particles.range_errors[1]
+    np.testing.assert_allclose(particles.predicted(0.0, 0.0).cov[:2, :2], np.outer(away, away), atol=1e-9)
+
+
+def test_without_a_prior_readings_are_taken_as_they_are() -> None:
+    particles = ParticleFilter(
+        np.tile([20.0, 25.0, 0.7], (20, 1)), RayLikelihood(ROOM, N150, WIRE_SONAR), OdometryNoise(),
+        np.random.default_rng(0),
+    )  # fmt: skip
+    particles.update(0, 0.0, 45.0)
+    assert particles.range_errors.tolist() == [0.0, 0.0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,6 +32,19 @@ def test_an_echo_is_readable_once_a_clock_step_later() -> None:
     assert schedule.readable(9.0, 10.0) == []
     assert [f.sonar for f in schedule.readable(9.0, 10.0 + CLOCK_STEP_S)] == [0]
     assert schedule.readable(10.0, 10.0 + CLOCK_STEP_S) == []
+
+
+def test_by_a_late_clock_no_echo_is_read_before_it_is_there() -> None:
+    rng, schedule, last_s, late_s = np.random.default_rng(8), FiringSchedule(0.0), -1.0, 0.1
+    seen: list[float] = []
+    for number in range(100):
+        true_s = 0.1 * number + CLOCK_STEP_S
+        found = schedule.readable(last_s, true_s + late_s * float(rng.random()), late_s)
+        seen += [firing.instant_s for firing in found]
+        last_s = seen[-1] if seen else last_s
+        # What has fired by the true clock, each once and in order.
+        assert all(instant_s <= true_s for instant_s in seen)
+    assert np.diff(seen) == pytest.approx(schedule.interval_s)
 
 
 def test_an_echo_that_was_overwritten_is_not_handed_out() -> None:

@@ -68,3 +68,10 @@ def test_spread_of_late_clocks_is_estimated(late_s: float, is_uneven: bool) -> N
             assert history.is_uneven is is_uneven
     # A uniform error of a length has its standard deviation over sqrt(12).
     assert np.mean(spread_s[50:]) == pytest.approx(late_s / np.sqrt(12.0), rel=0.15)
+    if is_uneven:
+        # Its length again, and the mean square of what it draws.
+        assert history.clock_late_s == pytest.approx(late_s, rel=0.3)
+        drawn_s = history.clock_late_s * rng.random(10_000)
+        assert history.clock_rms_s == pytest.approx(np.sqrt(np.mean(drawn_s**2)), rel=0.05)
+    else:
+        assert history.clock_late_s == history.clock_rms_s == 0.0

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from math import pi
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, WORN, RobotSetu
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 from worlds.io import load_world
+from worlds.raycast import nearest_wall
 from worlds.world import Polygon, StartPose, World
 
 batch_kernel = pytest.importorskip("nserver_emu.simulation.batch_kernel", exc_type=ImportError)
@@ -143,6 +145,41 @@ def test_sonar_orders_equal_those_of_a_single_robot() -> None:
         batch.configure_sonars(rate, order)
         robots_of(simulations)[0].configure_sonars(rate, order)
         assert np.max(drive(batch, simulations, 6, np.random.default_rng(1))) == 0.0
+
+
+@pytest.mark.usefixtures("plain_batch")
+def test_pings_repeated_within_a_step_leave_their_noise() -> None:
+    batch, simulations = BatchSimulation(ROOM, 1, setup=NOISY, seed=7), singles(1, N150, NOISY)
+    batch.configure_sonars(1, [3, 5, 8])
+    robots_of(simulations)[0].configure_sonars(1, [3, 5, 8])
+    assert np.max(drive(batch, simulations, 6, np.random.default_rng(8))) <= 1e-9
+    # 33 firings in 0.13 s.
+    assert batch._robots["fired"][0] > 6 * 32
+
+
+@pytest.mark.usefixtures("plain_batch")
+def test_ranges_are_those_of_the_nearest_wall() -> None:
+    rng = np.random.default_rng(3)
+    walls = np.concatenate((rng.uniform(-50.0, 50.0, (20, 4)), [[-60.0, 10.0, 60.0, 10.0], [10.0, 10.0, 10.0, 60.0]]))
+    columns, ranges = tuple(walls.T.copy()), np.empty(len(walls))
+    for x, y, angle in rng.uniform((-50.0, -50.0, 0.0), (50.0, 50.0, 2.0 * pi), (200, 3)).tolist():
+        ray = (x, y, np.cos(angle), np.sin(angle))
+        found = batch_kernel._range_from_axis(*ray, columns, 0, len(walls), ranges)
+        assert found == nearest_wall(*ray, walls.tolist())[0]
+    # Along a wall, and through the end of one.
+    for ray in ((0.0, 10.0, 1.0, 0.0), (10.0, 0.0, 0.0, 1.0)):
+        assert batch_kernel._range_from_axis(*ray, columns, 0, len(walls), ranges) == batch_kernel.UNDECIDED
+
+
+@pytest.mark.usefixtures("plain_batch")
+def test_rays_through_corners_equal_those_of_a_single_robot() -> None:
+    corners = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
+    world = World("square", rooms=(Polygon(corners),), inner_walls=np.array([[30.0, 0.0, 60.0, 0.0]]))
+    start = StartPose(0.0, 0.0, 0.0, 0.0)
+    simulation = Simulation(world, 1)
+    robot = simulation.add_robot(1, start)
+    batch = BatchSimulation(world, 1, starts=(0.0, 0.0, 0.0, 0.0), seed=1)
+    assert batch.ranges_in[0].tolist() == list(robot.sonar.readings_in)
 
 
 @pytest.mark.usefixtures("plain_batch")
@@ -275,12 +312,16 @@ def test_example_of_the_page_runs() -> None:
 def test_loops_compile_without_a_cache_directory(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def njit(**options: bool) -> Any:
+    def njit(**options: object) -> Any:
         if "cache" in options:
             raise RuntimeError("cannot cache function")
-        return lambda loop: loop
+        return with_statistics
 
-    monkeypatch.setattr(batch_kernel.numba, "njit", njit)
+    def with_statistics(loop: Any) -> Any:
+        loop.stats = SimpleNamespace(cache_path=None)
+        return loop
+
+    monkeypatch.setattr("numba.njit", njit)
     assert batch_kernel.load_loops.__wrapped__().advance.__name__ == "advance"
     assert "compiling the batch simulation" in caplog.text
 

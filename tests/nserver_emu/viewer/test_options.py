@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from nclient.common.allowlist import ListenAddress
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.options import DEFAULT_PORT, ListenAddress, ViewerMissing, add_options, refuse, running_viewer
+from nserver_emu.viewer.options import DEFAULT_PORT, ViewerMissing, add_options, refuse, running_viewer
 from tests.nserver_emu.server.wire_client import simulation
 
 
@@ -68,7 +69,7 @@ def test_options_that_need_a_page_imply_it(option: str) -> None:
     add_options(parser)
     read = parser.parse_args([option])
     refuse(parser, read)
-    assert read.viewer == ListenAddress()
+    assert read.viewer == ListenAddress(port=DEFAULT_PORT)
 
 
 def test_own_filter_is_named_by_its_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
