@@ -557,7 +557,7 @@ def load_compiled(robots: int) -> None:
 
 def _compile(numba: Any) -> Callable[..., float]:
     """Compile `nearest_obstacle` for read-only arrays, which stand for writable ones too."""
-    for helper in (intersect, ray_to_disc, nearest_wall):
+    for helper in (mean_ahead, intersect, ray_to_disc, nearest_wall):
         numba.extending.register_jitable(helper)
     number, rows = numba.float64, numba.types.Array(numba.float64, 2, "C", readonly=True)
     signature = number(number, number, number, number, rows, rows, numba.int64, number, number)
