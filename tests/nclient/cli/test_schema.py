@@ -192,5 +192,7 @@ def test_toml_and_json_schema_name_the_same_types() -> None:
 @pytest.mark.parametrize("kind", ["faults", "mission", "model", "setup", "world"])
 def test_every_table_and_key_is_described(kind: str) -> None:
     tables = file_schema(kind)["$defs"]
-    keys = {f"{name}.{key}": entry for name, table in tables.items() for key, entry in table["properties"].items()}
+    keys = {
+        f"{name}.{key}": entry for name, table in tables.items() for key, entry in table.get("properties", {}).items()
+    }
     assert [name for name, entry in (tables | keys).items() if not entry.get("description")] == []
