@@ -104,7 +104,9 @@ def read_world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
 
 @table()
 class _Outline(Table):
-    name: Text = ""
+    """A polygon: the outline of a room or an obstacle."""
+
+    name: Annotated[Text, Meta(description="name, shown on maps")] = ""
     corners: Outline
 
     def check(self) -> None:
@@ -119,6 +121,8 @@ _HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in
     ["angle_std_deg", *(f"measured_{unit}" for unit in INCHES_PER_UNIT)], _HAS_OFFSET
 )})  # fmt: skip
 class _Wall(Table):
+    """An inner wall."""
+
     points: Line
     name: Annotated[Text, Meta(description="name of the wall, shown on maps")] = ""
     offset_std: Distance | UnsetType = UNSET
@@ -144,6 +148,8 @@ class _Wall(Table):
 
 @table()
 class _Door(Table):
+    """A door, which may be opened and closed."""
+
     name: Annotated[Text, Meta(min_length=1, description="name of the door, by which it is opened and closed")]
     points: Line
     open: Annotated[bool, Meta(description="true: nothing is there")] = False
@@ -161,7 +167,9 @@ class _Door(Table):
 
 @table()
 class _Walker(Table):
-    name: Text = ""
+    """A person or thing that moves along a route."""
+
+    name: Annotated[Text, Meta(description="name, shown on maps")] = ""
     points: Line
     speed: Distance | UnsetType = UNSET
     radius: Distance | UnsetType = UNSET
@@ -184,16 +192,20 @@ class _Walker(Table):
 
 @table()
 class _Start(Table):
+    """A start pose."""
+
     x: Length
     y: Length
-    steering_deg: Angle = 0.0
-    turret_deg: Angle = 0.0
+    steering_deg: Annotated[Angle, Meta(description="direction of the steering")] = 0.0
+    turret_deg: Annotated[Angle, Meta(description="direction of the turret")] = 0.0
 
 
 @table(condition={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
 class _Path(Table):
-    name: Text = ""
-    figure: Text = ""
+    """A path with a name, for `nomad localize --path`."""
+
+    name: Annotated[Text, Meta(description="name of the path")] = ""
+    figure: Annotated[Text, Meta(description="number of its figure in the thesis")] = ""
     start: Annotated[int, Meta(ge=0, description="number of the [[start]] where it begins")] | UnsetType = UNSET
     points: Line
 

@@ -230,7 +230,8 @@ _Angles = Annotated[
 ]
 _Order = Annotated[
     tuple[SonarNumber | tuple[SonarNumber, ...], ...],
-    Meta(min_length=1, max_length=MAX_SONARS, title="a list of sonar numbers, or of lists that fire at once"),
+    Meta(min_length=1, max_length=MAX_SONARS, title="a list of sonar numbers, or of lists that fire at once",
+         description="firing order"),
 ]
 
 

@@ -146,12 +146,15 @@ IDEAL_CALIBRATION: Final = Calibration()
 """A robot without systematic errors."""
 
 
-ScaleSpread = Annotated[float, Meta(ge=0.0, le=1.0)]
-_PerSonar = Meta(min_length=1, max_length=MAX_SONARS, title="a list of numbers, one for each sonar")
+ScaleSpread = Annotated[float, Meta(ge=0.0, le=1.0, description="standard deviation of this number")]
+_PerSonar = Meta(min_length=1, max_length=MAX_SONARS, title="a list of numbers, one for each sonar",
+                 description="reading minus range of each sonar, or its standard deviation, inches")
 
 
 @table()
 class _Odometry(Table):
+    """Systematic errors of the odometry."""
+
     way_scale: Annotated[float, Meta(ge=0.5, le=2.0, description="true distance per counted distance")] = 1.0
     turn_scale: Annotated[float, Meta(ge=0.5, le=2.0, description="true turn per counted turn")] = 1.0
     drift_rad_in: Annotated[
@@ -161,6 +164,8 @@ class _Odometry(Table):
 
 @table()
 class _Sonar(Table):
+    """Systematic errors of the sonars."""
+
     offsets_in: (
         Annotated[tuple[Annotated[float, Meta(ge=-MAX_OFFSET_IN, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType
     ) = UNSET
@@ -171,13 +176,17 @@ class _Sonar(Table):
 
 @table()
 class _Spread(Table):
+    """Standard deviations of the calibration."""
+
     way_scale: ScaleSpread = 0.0
     turn_scale: ScaleSpread = 0.0
     drift_rad_in: ScaleSpread = 0.0
     offsets_in: (
         Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType
     ) = UNSET
-    turned_deg: Annotated[float, Meta(ge=0.0, le=MAX_RING_TURN_DEG)] = 0.0
+    turned_deg: Annotated[
+        float, Meta(ge=0.0, le=MAX_RING_TURN_DEG, description="of the ring's rotation, degrees")
+    ] = 0.0
 
 
 @table()
@@ -192,19 +201,22 @@ class LinearAxis(Table):
 
 @table()
 class AngularAxis(Table):
-    """Limits of an axis that counts angles, degrees and seconds."""
+    """Limits of an axis that counts angles, in degrees and seconds."""
 
-    top_speed_deg: PositiveAngle | UnsetType = UNSET
-    top_acceleration_deg: PositiveAngle | UnsetType = UNSET
-    speed_deg: PositiveAngle | UnsetType = UNSET
-    acceleration_deg: PositiveAngle | UnsetType = UNSET
+    top_speed_deg: Annotated[PositiveAngle, Meta(description="largest speed, per second")] | UnsetType = UNSET
+    top_acceleration_deg: (
+        Annotated[PositiveAngle, Meta(description="largest acceleration, per second squared")] | UnsetType
+    ) = UNSET
+    speed_deg: Annotated[PositiveAngle, Meta(description="speed at power-on")] | UnsetType = UNSET
+    acceleration_deg: Annotated[PositiveAngle, Meta(description="acceleration at power-on")] | UnsetType = UNSET
 
 
 @table()
 class ModelTable(Table):
     """A [[model]]: what differs from the model it derives from."""
 
-    name: Annotated[str, Meta(pattern=r"^[^\sA-Z]([^A-Z]*[^\sA-Z])?$", title="a name in small letters")]
+    name: Annotated[str, Meta(pattern=r"^[^\sA-Z]([^A-Z]*[^\sA-Z])?$", title="a name in small letters",
+                              description="name of the model")]
     like: Annotated[Text, Meta(description="model it derives from; default: the existing one of its name")] = ""
     bumpers: Annotated[int, Meta(ge=1, le=MAX_BUMPERS, description="bumpers around the body")] | UnsetType = UNSET
     compass: Annotated[bool, Meta(description="true for a robot with a compass")] | UnsetType = UNSET

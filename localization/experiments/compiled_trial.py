@@ -67,7 +67,7 @@ class Robots(NamedTuple):
 
 
 class History(NamedTuple):
-    """What `figure_trial.Runs` has of n robots after each of T steps: (T, n, ...)."""
+    """State of n robots after each of T steps, as in `figure_trial.Runs`: (T, n, ...)."""
 
     truth: Floats
     mean: Floats

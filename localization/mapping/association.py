@@ -90,6 +90,14 @@ class MapEstimate:
         penalty = PENALTY["wall"] * len(state.walls) + PENALTY["point"] * len(state.points)
         return self.problem.cost(state, self.assignment) + penalty
 
+    @property
+    def misfit(self) -> float:
+        """Cost of all ranges by their number, without the odometry, the bounds of the cone and the penalties."""
+        _, residuals, _ = self.problem.range_residuals(self.state, self.assignment)
+        count = int((self.problem.trajectory.node < len(self.state.poses)).sum())
+        cost = float(robust_cost(residuals[:, 0]).sum()) + ROBUST_LIMIT**2 * (count - len(residuals))
+        return cost / max(count, 1)
+
     def extend(self, count: int) -> None:
         """Add nodes up to a number of them, by the odometry."""
         trajectory, poses = self.problem.trajectory, [*self.state.poses]
@@ -211,16 +219,26 @@ def _wall_geometry(sensors: Sensors, walls: Floats, rays: bool) -> tuple[Floats,
 
 
 def residual_matrix(
-    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices
+    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices, sensors: Sensors | None = None
 ) -> tuple[Floats, Sensors, Floats]:
     """Return the residuals (e, f) of echoes by all features in standard deviations, inf where one cannot explain it.
+
+    Parameters
+    ----------
+    problem, state, extents
+        The map.
+    echoes
+        (e,) numbers of the echoes.
+    sensors
+        The sonars at them; by default those of the state.
 
     Returns
     -------
     tuple
         The residuals; the sonars (e,); the reflecting spots (e, f, 2).
     """
-    sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
+    if sensors is None:
+        sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet = _wall_geometry(sensors, state.walls, problem.rays)
     on_wall = (feet > extents[:, 0] - GROWTH_IN) & (feet < extents[:, 1] + GROWTH_IN)
@@ -241,12 +259,14 @@ def residual_matrix(
     return np.where(fits, residual / std, np.inf), sensors, spots
 
 
-def assign(problem: MapProblem, state: MapState, extents: Floats, echoes: Indices) -> tuple[Indices, Floats]:
-    """Return the feature of each echo (e,), and the robust cost (e,) by it."""
+def assign(
+    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices, sensors: Sensors | None = None
+) -> tuple[Indices, Floats]:
+    """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`."""
     if not state.features:
         return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)
     # 1. What is behind a wall explains nothing.
-    residual, sensors, spots = residual_matrix(problem, state, extents, echoes)
+    residual, sensors, spots = residual_matrix(problem, state, extents, echoes, sensors)
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], segments_of(state.walls, extents, BLOCKED_IN))
     residual[echo[blocked], feature[blocked]] = np.inf
@@ -287,10 +307,10 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
         echoes = estimate.echoes(node)
         if len(echoes) < 8:
             continue
-        costs = []
-        for sigmas in HEADINGS:
-            turned = replace(estimate.state, poses=_turned(estimate.state.poses, node, sigmas * std))
-            costs.append(assign(problem, turned, estimate.extents, echoes)[1].sum() + sigmas**2)
+        # All headings at once.
+        sensors = _turned_sensors(estimate, node, echoes, HEADINGS * std)
+        _, cost = assign(problem, estimate.state, estimate.extents, np.tile(echoes, len(HEADINGS)), sensors)
+        costs = cost.reshape(len(HEADINGS), -1).sum(axis=1) + np.square(HEADINGS)
         best = int(np.argmin(costs))
         present = len(HEADINGS) // 2
         if costs[best] > costs[present] - 2.0:
@@ -303,6 +323,19 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
             candidate.optimize()
         if other.cost < estimate.cost:
             estimate.state, estimate.assignment, estimate.extents = other.state, other.assignment, other.extents
+
+
+def _turned_sensors(estimate: MapEstimate, node: int, echoes: Indices, angles_rad: Floats) -> Sensors:
+    """Return the sonars (k e,) at echoes from a node on, with what follows it rotated about it by each of k angles."""
+    state = estimate.state
+    sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
+    angles = np.repeat(angles_rad, len(echoes))
+    count, centre = len(angles_rad), state.poses[node, :2]
+    return Sensors(
+        centre + rotate(np.tile(sensors.face - centre, (count, 1)), angles),
+        rotate(np.tile(sensors.arm, (count, 1)), angles),
+        np.tile(sensors.axis, count) + angles, np.tile(sensors.range_in, count),
+    )  # fmt: skip
 
 
 def _turned(poses: Floats, node: int, angle_rad: float) -> Floats:

@@ -9,6 +9,7 @@ for each leg, from the map as it is.
     place        worth            where
     frontier     doors first      free cells beside unknown ones that no wall explains
     open end     next             6 in beyond the end of a wall, 18 in in front of it
+    span         next             18 in before the middle of two points between which it is open whether there is a wall
     vertex       then             around a point or an end at which fewer than two walls were found
     coverage     then             cells farther than 20 in from where the robot has been
     corner       last             5 in beside both walls of a corner: there ranges tell the offset of all sonars apart
@@ -36,7 +37,15 @@ from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.survey import Geofence, Point
-from localization.mapping.walls import ON_LINE_IN, Piece, extract_walls, free_paths
+from localization.mapping.walls import (
+    ON_LINE_IN,
+    POINT_ON_LINE_IN,
+    Piece,
+    extract_walls,
+    free_paths,
+    pass_through,
+    uncrossed_spans,
+)
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.roadmap import crossings, segment_clearances
 from nclient.common.hints import install_command
@@ -84,8 +93,8 @@ LAST_LEG_IN: Final = 24.0
 LAST_LEG_S: Final = 15.0
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
-WORTH: Final = {"frontier": 3.0, "end": 2.0, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
-MAX_TRIES: Final = {"frontier": 2, "end": 2, "vertex": 2, "coverage": 2, "corner": 4}
+WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
+MAX_TRIES: Final = {"frontier": 2, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
 
 
 @dataclass(slots=True)
@@ -421,7 +430,8 @@ class Explorer:
         ]
         if mapper.estimate is not None and len(mapper.estimate.state.walls):
             corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
-            found += [(place, REACH_CELLS_IN) for place in _end_places(mapper.estimate, self._pieces) + corners]
+            places = _end_places(mapper.estimate, self._pieces) + _span_places(mapper.estimate) + corners
+            found += [(place, REACH_CELLS_IN) for place in places]
         # Cells far from the path, the farthest first.
         away = np.full(len(centres), np.inf)
         for start in range(0, len(visited), 64):
@@ -557,6 +567,20 @@ def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
             found.append(Place("vertex", float(x), float(y)))
     return found
 
+
+
+def _span_places(estimate: MapEstimate) -> list[Place]:
+    """Return the places before both sides of spans between which sound has not passed, too seldom to be a wall."""
+    found = []
+    for span in uncrossed_spans(estimate, free_paths(estimate)):
+        if span.is_wall or pass_through(estimate.state.walls, span.ends[None], POINT_ON_LINE_IN).any():
+            continue
+        ends = span.ends.reshape(2, 2)
+        along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+        for side in (END_ASIDE_IN, -END_ASIDE_IN):
+            x, y = ends.mean(axis=0) + side * np.array((-along[1], along[0]))
+            found.append(Place("span", float(x), float(y)))
+    return found
 
 
 def _corner_places(pieces: list[Piece], space_in: float) -> list[Place]:

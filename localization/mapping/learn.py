@@ -39,14 +39,21 @@ from localization.mapping.association import (
     Mask,
     align_heading,
     assign,
-    crossings,
     residual_matrix,
     segments_of,
 )
 from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
-from localization.mapping.walls import MIN_CORNER_RAD, MIN_CROSSINGS, REACH_IN, free_paths
+from localization.mapping.walls import (
+    MAX_SPAN_IN,
+    MIN_CORNER_RAD,
+    REACH_IN,
+    Span,
+    free_paths,
+    pass_through,
+    uncrossed_spans,
+)
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
@@ -68,8 +75,8 @@ MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
 SWALLOW_IN: Final = 24.0
 """Walls seen over a shorter length may be a corner."""
-MIN_JOIN_IN, MAX_JOIN_IN, MIN_JOIN_ECHOES = 8.0, 60.0, 4
-"""Lengths of walls that are looked for between two points, and echoes that must support one."""
+MIN_JOIN_ECHOES: Final = 4
+"""Echoes that must support a wall between two points, unless no sound passes where it should."""
 JOINED_PENALTY: Final = 15.0
 """Of a wall between two points, which has no unknowns of its own."""
 POINT_ON_WALL_IN: Final = 2.5
@@ -185,6 +192,7 @@ def prune(estimate: MapEstimate) -> int:
         walls = len(estimate.state.walls)
         penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
         penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
+        penalties[:walls][_are_spans(estimate)] = 0.0
         worst = int((losses - penalties).argmin())
         if losses[worst] >= penalties[worst]:
             break
@@ -192,6 +200,12 @@ def prune(estimate: MapEstimate) -> int:
         estimate.associate()
         removed += 1
     return removed
+
+
+def _are_spans(estimate: MapEstimate) -> Mask:
+    """Return True (w,) for walls through two points between which sound should have passed, and has not."""
+    spans = [span.ends for span in uncrossed_spans(estimate, free_paths(estimate)) if span.is_wall]
+    return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), TIE_IN).any(axis=1))
 
 
 def _losses(estimate: MapEstimate) -> Floats:
@@ -279,17 +293,19 @@ def absorb_points(estimate: MapEstimate) -> int:
 
 
 def join_points(estimate: MapEstimate) -> int:
-    """Add walls between two points where the total cost falls, and return their number.
+    """Add walls between two points where no sound has passed and the total cost falls, and return their number.
 
     A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
+    Where sound should have passed, the wall need not pay for itself.
     """
-    joined = 0
-    for one in range(len(estimate.state.points)):
-        for other in range(one):
-            # Points may have been removed meanwhile.
-            if one < len(estimate.state.points) and _try_join(estimate, one, other):
-                joined += 1
-    return joined
+    joined, tried = 0, set[tuple[float, ...]]()
+    while True:
+        spans = uncrossed_spans(estimate, free_paths(estimate))
+        span = next((span for span in spans if tuple(span.ends.tolist()) not in tried), None)
+        if span is None:
+            return joined
+        tried.add(tuple(span.ends.tolist()))
+        joined += _try_join(estimate, span)
 
 
 def _have_ends(estimate: MapEstimate) -> Mask:
@@ -299,40 +315,37 @@ def _have_ends(estimate: MapEstimate) -> Mask:
     on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < TIE_IN
     along = c * points[:, 1] - s * points[:, 0]
     low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
-    before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_JOIN_IN)
-    after = on_line & (along > high - POINT_ON_WALL_IN) & (along < high + MAX_JOIN_IN)
+    before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_SPAN_IN)
+    after = on_line & (along > high - POINT_ON_WALL_IN) & (along < high + MAX_SPAN_IN)
     return np.asarray(before.any(axis=1) & after.any(axis=1), dtype=np.bool_)
 
 
-def _try_join(estimate: MapEstimate, one: int, other: int) -> bool:
+def _try_join(estimate: MapEstimate, span: Span) -> bool:
     """Add a wall between two points if the total cost falls; return True if it did."""
     state, problem = estimate.state, estimate.problem
-    first, second = state.points[one], state.points[other]
-    length = float(np.hypot(*(second - first)))
-    if not MIN_JOIN_IN < length < MAX_JOIN_IN:
-        return False
+    first, second = span.ends.reshape(2, 2)
     # 1. The line through both.
-    along = (second - first) / length
+    along = (second - first) / np.hypot(*(second - first))
     angle = float(np.arctan2(-along[0], along[1]))
     normal = np.array((np.cos(angle), np.sin(angle)))
     forward = np.array((-normal[1], normal[0]))
     low, high = sorted((float(first @ forward), float(second @ forward)))
     line, extent = np.array((angle, float(first @ normal))), np.array((low, high))
+    if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN).any():
+        return False
     # 2. It must explain echoes of its inner part that no wall explains.
-    echoes = estimate.echoes()
-    feature, ends = estimate.assignment.feature[echoes], (len(state.walls) + one, len(state.walls) + other)
-    short = np.flatnonzero(estimate.extents[:, 1] - estimate.extents[:, 0] < SWALLOW_IN)
-    is_open = (feature == NO_FEATURE) | np.isin(feature, short) | (feature >= len(state.walls))
-    echoes = echoes[is_open & ~np.isin(feature, ends)]
-    alone = replace(state, walls=line[None], points=state.points[:0])
-    residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
-    feet = spots[:, 0] @ forward
-    supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)
-    if supports.sum() < MIN_JOIN_ECHOES:
-        return False
-    starts, spots = free_paths(estimate)
-    if crossings(starts, spots, segments_of(line[None], extent[None], POINT_ON_WALL_IN)).sum() >= MIN_CROSSINGS:
-        return False
+    if not span.is_wall:
+        echoes = estimate.echoes()
+        feature, walls = estimate.assignment.feature[echoes], len(state.walls)
+        short = np.flatnonzero(estimate.extents[:, 1] - estimate.extents[:, 0] < SWALLOW_IN)
+        is_open = (feature == NO_FEATURE) | np.isin(feature, short) | (feature >= walls)
+        echoes = echoes[is_open & ~np.isin(feature, (walls + span.one, walls + span.other))]
+        alone = replace(state, walls=line[None], points=state.points[:0])
+        residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
+        feet = spots[:, 0] @ forward
+        supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)
+        if supports.sum() < MIN_JOIN_ECHOES:
+            return False
     # 3. Points in its middle are part of it.
     trial = estimate.copy()
     coordinates = state.points @ forward
@@ -345,7 +358,7 @@ def _try_join(estimate: MapEstimate, one: int, other: int) -> bool:
         trial.associate()
         tie_points(trial)
         trial.optimize(3)
-    if trial.cost - PENALTY["wall"] + JOINED_PENALTY >= estimate.cost:
+    if trial.cost - PENALTY["wall"] + (0.0 if span.is_wall else JOINED_PENALTY) > estimate.cost:
         return False
     _replace(estimate, trial)
     return True

@@ -31,6 +31,7 @@ from localization.mapping.measurements import (
     DriveCollector,
     DriveLog,
     Indices,
+    Steps,
     build_trajectory,
     compose,
     relative_pose,
@@ -46,11 +47,13 @@ NODES_PER_FRACTION: Final = 40
 """The longer the drive, the rarer the whole map is solved: the effort grows with its nodes."""
 ALWAYS_CHALLENGED: Final = 80
 """Nodes up to which each map is compared with one learned from the beginning: the first 40 s decide."""
-CHALLENGE_GROWTH: Final = 1.3
+CHALLENGE_GROWTH: Final = 1.5
 CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
 MAX_COST: Final = 0.95
-"""Cost of a sound map by the number of its ranges; a larger one is poor. 1 without outliers and short of freedom."""
+"""Cost, with all penalties, by the number of ranges, of a map that the robot may rely on to pass a gap."""
+MAX_MISFIT: Final = 0.8
+"""Misfit of a sound map: 0.6 is usual with smooth walls, 1 and more with a wrong wall or a wrong turn."""
 POST_IN: Final = 0.5
 """Half length of the segment that stands for a point."""
 
@@ -82,7 +85,7 @@ class LiveMapper:
         self.rounds = 0
         """Number of those solutions."""
         self._poses, self._groups = np.zeros((0, POSE)), np.zeros(0, dtype=np.intp)
-        self._encoders = np.zeros(POSE)
+        self._encoders, self._steps = np.zeros(POSE), Steps()
         self._tracked = self._challenged_nodes = 0
         if collector.has_drive:
             self._go_on()
@@ -132,7 +135,7 @@ class LiveMapper:
 
     @property
     def is_sound(self) -> bool:
-        """True if the map explains its readings."""
+        """True if the map explains its readings, with few walls and points for their number."""
         estimate = self.estimate
         return estimate is not None and estimate.cost < MAX_COST * len(estimate.problem.trajectory.node)
 
@@ -144,7 +147,7 @@ class LiveMapper:
         first = max(len(self._groups) - LAG_NODES, 0)
         first_group = int(self._groups[first]) if len(self._groups) else 0
         log = self._collector.log(first_group * READINGS_PER_NODE)
-        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in)
+        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in, self._steps)
         groups = trajectory.group + first_group
         old, old_groups = self._poses[first:], self._groups[first:]
         same = _common(groups, old_groups)
@@ -177,7 +180,7 @@ class LiveMapper:
     def solve(self) -> None:
         """Solve the whole map, from the poses so far."""
         log = self._collector.log()
-        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in)
+        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in, self._steps)
         problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays)
         before = self.estimate or MapEstimate.start(problem)
         # 1. The echoes of the nodes that both have keep their features.
@@ -193,7 +196,7 @@ class LiveMapper:
         mapped = len(before.state.poses)
         candidates: list[MapEstimate] = []
         for poses in (self._poses[: _common(trajectory.group, self._groups)], before.state.poses[:same]):
-            if candidates and candidates[0].cost < MAX_COST * len(trajectory.node):
+            if candidates and candidates[0].misfit < MAX_MISFIT:
                 break
             state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
             candidate = MapEstimate(problem, state, replace(before.assignment, feature=feature), before.extents)
@@ -214,10 +217,10 @@ class LiveMapper:
     def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:
         """Return a map, or one that is learned from the beginning if that is cheaper.
 
-        A wrong wall among the first ones stays, since all that follows is explained by it. It shows in the cost.
+        A wrong wall among the first ones stays, since all that follows is explained by it. It shows in the misfit.
         """
         nodes = len(estimate.state.poses)
-        is_poor = estimate.cost >= MAX_COST * len(estimate.problem.trajectory.node)
+        is_poor = estimate.misfit >= MAX_MISFIT
         if nodes > ALWAYS_CHALLENGED and not (is_poor and nodes > CHALLENGE_GROWTH * self._challenged_nodes):
             return estimate
         self._challenged_nodes = nodes

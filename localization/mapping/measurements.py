@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -399,7 +400,14 @@ def _frames(recording: Recording, connection: str) -> Iterator[tuple[str, dict[s
                 yield entry.kind, dict(frame)
 
 
-def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float) -> Trajectory:
+Step = tuple[Floats, Floats, Floats]
+"""Odometry between two instants: step (3,), covariance (3, 3), derivative by the parameters (3, 3)."""
+Steps = dict[tuple[float, float], Step]
+
+
+def build_trajectory(
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float, known: Steps | None = None
+) -> Trajectory:
     """Return the nodes of a drive with all that the estimator needs.
 
     Parameters
@@ -412,6 +420,8 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roug
         Noise and limits of the readings.
     roughness_in
         Standard deviation of the walls' surfaces from straight lines, inches.
+    known
+        Odometry by its instants that was integrated before, of the same drive; what is new is added.
     """
     # 1. Groups of readings; those in which the robot does not move are left out.
     count = len(log.readings_in) // READINGS_PER_NODE
@@ -421,7 +431,14 @@ def build_trajectory(log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roug
     groups, instants = groups[moving], instants[moving]
     nodes = log.poses_at(instants)
     # 2. Odometry between the nodes.
-    steps, covariance, by_parameters = integrate_odometry(log, instants, noise)
+    known = {} if known is None else known
+    intervals = list(pairwise(instants.tolist()))
+    new = np.array([interval for interval in intervals if interval not in known]).reshape(-1, 2)
+    known.update(zip(map(tuple, new.tolist()), zip(*integrate_odometry(log, new, noise), strict=True), strict=True))
+    steps, covariance, by_parameters = (
+        np.array([known[interval][part] for interval in intervals]).reshape(-1, *shape)
+        for part, shape in enumerate(((POSE,), (POSE, POSE), (POSE, MAX_STATE - POSE)))
+    )
     root = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2)
     # 3. Sonars relative to their nodes: mount and axis in the node's frame.
     firing = groups.reshape(-1)
@@ -457,8 +474,8 @@ def _moving(poses: Floats) -> npt.NDArray[np.bool_]:
     return moving
 
 
-def integrate_odometry(log: DriveLog, instants_s: Floats, noise: OdometryNoise) -> tuple[Floats, Floats, Floats]:
-    """Return the odometry between instants (n,): steps (n-1, 3), covariances and derivatives by the parameters.
+def integrate_odometry(log: DriveLog, intervals_s: Floats, noise: OdometryNoise) -> tuple[Floats, Floats, Floats]:
+    """Return the odometry in intervals (n, 2): steps (n, 3), covariances and derivatives by the parameters.
 
     References
     ----------
@@ -467,11 +484,12 @@ def integrate_odometry(log: DriveLog, instants_s: Floats, noise: OdometryNoise) 
     """
     # 1. The encoder poses between each two instants, with both: rows padded with the last one, a step of nothing.
     clock = log.encoders[:, 0]
-    first, stop = np.searchsorted(clock, instants_s[:-1], "right"), np.searchsorted(clock, instants_s[1:], "left")
+    begin, end = intervals_s[:, :1], intervals_s[:, 1:]
+    first, stop = np.searchsorted(clock, begin[:, 0], "right"), np.searchsorted(clock, end[:, 0], "left")
     longest = int((stop - first).max(initial=0))
     inner = first[:, None] + np.arange(longest)
-    times = np.where(inner < stop[:, None], clock[np.minimum(inner, len(clock) - 1)], instants_s[1:, None])
-    times = np.concatenate((instants_s[:-1, None], times, instants_s[1:, None]), axis=1)
+    times = np.where(inner < stop[:, None], clock[np.minimum(inner, len(clock) - 1)], end)
+    times = np.concatenate((begin, times, end), axis=1)
     poses = log.poses_at(times.reshape(-1))[:, :POSE].reshape(*times.shape, POSE)
     # 2. All intervals at once, one part after the other: mean, covariance and derivative by the parameters.
     states = np.zeros((len(times), MAX_STATE))

@@ -53,8 +53,6 @@ TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
-_FIXED_INFORMATION: Final = 1e12
-"""Weight of a map that stays as it is."""
 MIN_GAIN: Final = 0.05
 """A step that lowers the cost by less changes no decision: a likelihood ratio of 1.03."""
 
@@ -74,7 +72,9 @@ class MapState:
         return len(self.walls) + len(self.points)
 
     def moved(self, poses: Floats, border: Floats) -> MapState:
-        """Return the state after a step of the poses (n, 3) and of everything else (m,)."""
+        """Return the state after a step of the poses (n, 3) and of everything else (m,), (0,) if that is fixed."""
+        if not len(border):
+            return replace(self, poses=self.poses + poses)
         walls, points = self.walls.size, self.points.size
         return MapState(
             self.poses + poses,
@@ -361,9 +361,9 @@ class MapProblem:
         D[first:, first:] += self._prior_information
         h[first:] -= self._prior_information @ state.parameters
         D[range(first), range(first)] += 1e-9
-        if self.has_fixed_map:
-            D[range(size), range(size)] += _FIXED_INFORMATION
         T[0] += _FRAME_INFORMATION * np.eye(POSE)
+        if self.has_fixed_map:
+            return NormalEquations(T, U, C[..., :0], D[:0, :0], g, h[:0])
         return NormalEquations(T, U, C, D, g, h)
 
     def linearize_echoes(self, state: MapState, assignment: Assignment) -> LinearEchoes:

@@ -19,8 +19,16 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
-from localization.mapping.association import BLOCKED_IN, MapEstimate, residual_matrix
-from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL
+from localization.mapping.association import (
+    BLOCKED_IN,
+    MapEstimate,
+    Mask,
+    crossings,
+    is_blocked,
+    residual_matrix,
+    segments_of,
+)
+from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, sensors_at
 
 MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
@@ -38,6 +46,17 @@ REACH_IN: Final = 48.0
 OVERSHOOT_IN: Final = 6.0
 """A mistaken spot may lie this far beyond the true end."""
 POINT_ON_LINE_IN: Final = 2.5
+MIN_SPAN_IN, MAX_SPAN_IN = 8.0, 60.0
+"""Lengths of walls that are looked for between two points."""
+MIN_STOPPED: Final = 4
+"""Sonars that were directed between two points, not one of which has measured anything behind."""
+SPAN_SIGHT_IN: Final = 80.0
+SPAN_INCIDENCE_COS: Final = 0.35
+"""From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
+SPAN_MARGIN: Final = 0.1
+"""The outer tenths of a span belong to its points."""
+CLEAR_OF_ENDS_RAD: Final = radians(13.0)
+"""A point farther off the axis than this, half of a cone, reflects nothing."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
@@ -117,10 +136,11 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
         lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
     points = estimate.state.points
+    spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
     pieces = [
         Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
         for number, line in enumerate(lines)
-        for low, high, count in _pieces(line, np.sort(_clear_feet(estimate, number)), points)
+        for low, high, count in _with_spans(_pieces(line, np.sort(_clear_feet(estimate, number)), points), line, spans)
     ]
     # 3. Ends.
     _join_corners(pieces, lines, points)
@@ -144,6 +164,80 @@ def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     spot = face + span * np.maximum(length - BLOCKED_IN, 0.0) / length
     poses = state.poses[:, :2]
     return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Two points of the map, and what was measured between them.
+
+    Attributes
+    ----------
+    one, other
+        Numbers of the points.
+    ends
+        (4,) the points.
+    stopped
+        Number of readings of sonars that were directed between the points, nearer to neither than half of a cone. All
+        of them end before the line or at things that no reflector explains: no sound has passed.
+    """
+
+    one: int
+    other: int
+    ends: Floats
+    stopped: int
+
+    @property
+    def is_wall(self) -> bool:
+        """True if sound should have passed, so that there is a wall."""
+        return self.stopped >= MIN_STOPPED
+
+
+def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
+    """Return the pairs of points between which no path (p, 2) to (p, 2) has passed, the shortest first.
+
+    A wall that is seen from its ends, or too short to be told from a point, shows by what is not measured behind it.
+    """
+    state, found = estimate.state, []
+    points = state.points
+    lengths = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    ones, others = np.nonzero(np.triu((lengths > MIN_SPAN_IN) & (lengths < MAX_SPAN_IN)))
+    if not len(ones):
+        return []
+    # 1. Paths that have passed.
+    ends = np.concatenate((points[ones], points[others]), axis=1)
+    along = (ends[:, 2:] - ends[:, :2]) / lengths[ones, others, None]
+    inner = np.concatenate((ends[:, :2] + BLOCKED_IN * along, ends[:, 2:] - BLOCKED_IN * along), axis=1)
+    passed = crossings(*paths, inner).sum(axis=0)
+    # 2. Axes that lead between the points: in front of them, past no wall and neither point.
+    echoes = estimate.echoes()
+    sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
+    axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
+    segments = segments_of(state.walls, estimate.extents, BLOCKED_IN)
+    for number in np.flatnonzero(passed < MIN_CROSSINGS):
+        normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
+        cosine = axis @ normal
+        slanted = np.abs(cosine) < SPAN_INCIDENCE_COS
+        reach = (first - sensors.face) @ normal / np.where(slanted, np.inf, cosine)
+        at = sensors.face + reach[:, None] * axis
+        fraction = (at - first) @ along[number] / lengths[ones[number], others[number]]
+        directed = ~slanted & (reach > 0.0) & (reach < SPAN_SIGHT_IN)
+        directed &= (fraction > SPAN_MARGIN) & (fraction < 1.0 - SPAN_MARGIN)
+        for x, y in ends[number].reshape(2, 2):
+            bearing = np.arctan2(y - sensors.face[:, 1], x - sensors.face[:, 0])
+            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > CLEAR_OF_ENDS_RAD
+        # What ends well before is measured off something else.
+        directed &= sensors.range_in > np.abs(reach * cosine) - 1.0
+        rows = np.flatnonzero(directed)
+        stopped = len(rows) - int(is_blocked(sensors.face[rows], at[rows], segments).sum())
+        found.append(Span(int(ones[number]), int(others[number]), ends[number], stopped))
+    return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
+
+
+def pass_through(walls: Floats, segments: Floats, within_in: float) -> Mask:
+    """Return True (w, s) for walls (w, 2) on whose lines both ends of a segment (s, 4) lie."""
+    c, s = np.cos(walls[:, 0])[:, None, None], np.sin(walls[:, 0])[:, None, None]
+    off = c * segments[:, 0::2] + s * segments[:, 1::2] - walls[:, 1][:, None, None]
+    return np.asarray((np.abs(off) < within_in).all(axis=2), dtype=np.bool_)
 
 
 def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
@@ -185,6 +279,24 @@ def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, floa
         for run in runs
         if len(run) >= MIN_SPOTS and run[-1] - run[0] >= MIN_PIECE_IN
     ]
+
+
+def _with_spans(
+    runs: list[tuple[float, float, int]], line: _Line, spans: list[Span]
+) -> list[tuple[float, float, int]]:
+    """Return runs of feet; those on a line between the points of a span become one, from point to point."""
+    for span in spans:
+        ends = span.ends.reshape(2, 2)
+        if np.abs(ends @ line.normal - line.offset).max() > POINT_ON_LINE_IN:
+            continue
+        low, high = sorted((ends @ line.along).tolist())
+        within = [run for run in runs if run[0] < high and run[1] > low]
+        joined = (
+            min([low, *(run[0] for run in within)]), max([high, *(run[1] for run in within)]),
+            sum(run[2] for run in within) or span.stopped,
+        )  # fmt: skip
+        runs = [*(run for run in runs if run not in within), joined]
+    return runs
 
 
 def _trimmed(run: Floats, ends: Floats) -> Floats:

@@ -75,7 +75,7 @@ Heading = Annotated[Angle, Meta(description="the heading at the end, in degrees"
 class _Motion(Table):
     """Keys of all steps that move."""
 
-    time_limit_s: TimeLimit | UnsetType = UNSET
+    time_limit_s: Annotated[TimeLimit, Meta(description="the longest time of the step, in seconds")] | UnsetType = UNSET
     retries: Retries = 0
 
     def limits(self) -> dict[str, Any]:
@@ -84,6 +84,8 @@ class _Motion(Table):
 
 @table(do="go_to")
 class _GoTo(_Motion):
+    """Drive to a point by the shortest path."""
+
     to: PointInUnits
     heading_deg: Heading | UnsetType = UNSET
     within_in: Within = 1.0
@@ -94,6 +96,8 @@ class _GoTo(_Motion):
 
 @table(do="follow")
 class _Follow(_Motion):
+    """Drive along straight lines between points."""
+
     points: Points
     within_in: Within = 1.0
 
@@ -103,6 +107,8 @@ class _Follow(_Motion):
 
 @table(("heading_deg", "by_deg"), do="turn")
 class _Turn(_Motion):
+    """Turn in place."""
+
     heading_deg: Heading | UnsetType = UNSET
     by_deg: TurnAngle | UnsetType = UNSET
 
@@ -112,6 +118,8 @@ class _Turn(_Motion):
 
 @table(do="look")
 class _Look(Table):
+    """Stand and measure."""
+
     for_s: Annotated[Seconds, Meta(description="time to stand and measure, seconds")] = 1.0
 
     def act(self, robot: Mission) -> None:
@@ -120,12 +128,16 @@ class _Look(Table):
 
 @table(("touching", *CONDITIONS), do="wait_for")
 class _WaitFor(Table):
+    """Stand until a condition holds."""
+
     time_limit_s: Annotated[TimeLimit, Meta(description="the longest time to wait, in seconds")]
     touching: Annotated[bool, Meta(description="true: until a bumper touches")] | UnsetType = UNSET
-    nearer_than_in: Threshold | UnsetType = UNSET
-    farther_than_in: Threshold | UnsetType = UNSET
-    known_to_in: Threshold | UnsetType = UNSET
-    finds: Threshold | UnsetType = UNSET
+    nearer_than_in: Annotated[Threshold, Meta(description="until a sonar reads less, in inches")] | UnsetType = UNSET
+    farther_than_in: Annotated[Threshold, Meta(description="until all sonars read more, in inches")] | UnsetType = UNSET
+    known_to_in: (
+        Annotated[Threshold, Meta(description="until the position is so certain: std in inches")] | UnsetType
+    ) = UNSET
+    finds: Annotated[Threshold, Meta(description="until so many unmapped obstacles are confirmed")] | UnsetType = UNSET
 
     def act(self, robot: Mission) -> None:
         if self.touching is not UNSET:
@@ -138,6 +150,8 @@ class _WaitFor(Table):
 
 @table(do="patrol")
 class _Patrol(_Motion):
+    """Drive from point to point, for some rounds."""
+
     points: Points
     rounds: Rounds = 1
 
@@ -147,6 +161,8 @@ class _Patrol(_Motion):
 
 @table(do="dock")
 class _Dock(_Motion):
+    """Drive slowly to a dock, until there or in contact."""
+
     to: PointInUnits
     heading_deg: Annotated[Angle, Meta(description="the heading to drive in, in degrees")]
 
@@ -156,6 +172,8 @@ class _Dock(_Motion):
 
 @table(do="note")
 class _Note(Table):
+    """Write a text into the report."""
+
     words: Annotated[Text, Meta(description="the text for the report")]
 
     def act(self, robot: Mission) -> None:
@@ -175,7 +193,7 @@ class MissionFile(Table):
     on_lost: Annotated[LostPolicy, Meta(description="behaviour when the estimate is LOST")] = OnLost.STOP
     lost_s: Annotated[TimeLimit, Meta(description="for how long, seconds")] = 60.0
     fence: Outline | UnsetType = UNSET
-    step: tuple[Step, ...] = ()
+    step: Annotated[tuple[Step, ...], Meta(description="the steps, in order")] = ()
 
     def check(self) -> None:
         """Raise InvalidValue unless there is a step, and the fence is an outline."""

@@ -47,11 +47,22 @@ def json_schema(kind: Any) -> dict[str, Any]:
         table = schema["$defs"][struct.__name__]
         if conditions := getattr(struct, "CONDITIONS", []):
             table["allOf"] = conditions
-        # An editor would insert an empty default.
-        for entry in table["properties"].values():
+        for key, entry in table["properties"].items():
+            # An editor would insert an empty default.
             if not entry.get("default", True):
                 del entry["default"]
+            # A table describes the key that has it.
+            if "description" not in entry and (described := _referenced(entry, schema["$defs"])):
+                entry["description"] = described
+            if key == struct.__struct_config__.tag_field:
+                entry["description"] = "kind of this table"
     return {"$schema": DIALECT, "description": kind.__doc__} | schema
+
+
+def _referenced(entry: dict[str, Any], tables: dict[str, Any]) -> str:
+    """Return the description of the table, or of the list of tables, that an entry refers to; "" for none."""
+    name = (entry.get("items", entry)).get("$ref", "").rpartition("/")[2]
+    return str(tables.get(name, {}).get("description", ""))
 
 
 def _structs(kind: Any) -> Iterator[Any]:

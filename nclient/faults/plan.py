@@ -47,12 +47,13 @@ MAX_INSERTED = 0xFFFF
 MAX_DURATION_S = 86_400.0
 """Maximum delay or silence in seconds: one day."""
 
-Seconds = Annotated[float, Meta(ge=0.0, le=MAX_DURATION_S)]
+Seconds = Annotated[float, Meta(ge=0.0, le=MAX_DURATION_S, description="seconds")]
 Since = Annotated[float, Meta(ge=0.0, description="seconds since the plan came into force")]
-Percent = Annotated[float, Meta(ge=0.0, le=100.0)]
-Number = Annotated[int, Meta(ge=1)]
+Percent = Annotated[float, Meta(ge=0.0, le=100.0, description="probability in percent")]
+Number = Annotated[int, Meta(ge=1, description="a count, from 1")]
 Size = Annotated[int, Meta(ge=0, description="number of bytes that still arrive")]
-Place = Annotated[int, Meta(title="a whole number, the index of a byte, negative from the end")]
+Place = Annotated[int, Meta(title="a whole number, the index of a byte, negative from the end",
+                            description="index of the byte; default: a random one")]
 Change = Annotated[Literal["bit", "byte"], Meta(description="one flipped bit, or any other byte")]
 
 
@@ -383,12 +384,16 @@ _RULE_FIELDS: list[Any] = [
     ("name", Annotated[validation.Text, Meta(description="name in errors and counts; default: rule 1, rule 2 ...")],
      "rule"),
     ("do", Annotated[_KIND | _KINDS, Meta(description="a kind of fault, or several, drawn each time")]),
-    ("command", _COMMAND | tuple[_COMMAND, ...], _ANY),
-    ("line", _LINE | tuple[_LINE, ...], _ANY),
-    ("direction", validation.one_of(_DIRECTIONS), Direction.REPLY.value),
+    ("command", Annotated[_COMMAND | tuple[_COMMAND, ...], Meta(description="C names of the commands it acts on")],
+     _ANY),
+    ("line", Annotated[_LINE | tuple[_LINE, ...], Meta(description="lines it acts on, such as nserver or serial:2")],
+     _ANY),
+    ("direction", Annotated[validation.one_of(_DIRECTIONS), Meta(description="frames it acts on")],
+     Direction.REPLY.value),
     *(row for row in validation.dataclass_keys(When) if row[0] != "at"),
     # `at = 3` is short for `at = [3]`.
-    ("at", Number | Numbers | UnsetType, UNSET),
+    ("at", Annotated[Number | Numbers, Meta(description="numbers of the frames it acts on, from 1")] | UnsetType,
+     UNSET),
 ]
 _RULE_KEYS: list[str] = [row[0] for row in _RULE_FIELDS]
 _SETTINGS: dict[str, Any] = {row[0]: row for kind in KINDS.values() for row in validation.dataclass_keys(kind)}

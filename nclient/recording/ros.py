@@ -30,17 +30,8 @@ from nclient.errors import RecordingError
 from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
-from nclient.recording.ros_messages import (
-    BATTERY,
-    NUMBER,
-    ODOMETRY,
-    SCAN,
-    TEXT,
-    TF,
-    TF_STATIC,
-    TRANSFORMS,
-    MessageBuilder,
-)
+from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TF_STATIC, TRANSFORMS
+from nclient.recording.ros_types import MessageBuilder
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"

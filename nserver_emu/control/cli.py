@@ -250,7 +250,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="nserver ctl",
         usage="nserver ctl [-h] [--control PATH] [--json] COMMAND [ARGUMENT]",
-        description="Send a command to a server that was started with --control.",
+        description="Send a command to a server that was started with --control.\n\n"
+        "    nserver ctl status\n    nserver ctl --control /tmp/nomad.ctl faults set plan.toml\n"
+        "    nserver ctl step 0.5 --json",
         epilog=f"commands:\n{commands}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -34,7 +34,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from nclient.common.hints import install_command
 from nclient.errors import ConnectionLost
-from nclient.recording.ros_messages import MAP, TF, TF_STATIC, FieldType, Message, MessageBuilder
+from nclient.recording.ros_messages import MAP, TF, TF_STATIC, Message
+from nclient.recording.ros_types import FieldType, MessageBuilder
 from nserver_emu.ros import topics
 from nserver_emu.ros.readings import PERIOD_S, RobotReader, map_message, rings_of
 from nserver_emu.ros.topics import Estimates

@@ -205,8 +205,8 @@ READ_SIZE: Final = 4096
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
 # Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
-# unlimited speed there is one in each turn.
-MAX_PREPARING_STEPS: Final = 4
+# unlimited speed there is one in each turn. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some 2 ms.
+MAX_PREPARING_STEPS: Final = 16
 
 # Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
 CONNECT_WAIT_S: Final = 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -26,3 +27,20 @@ def test_json_has_figures_references_and_targets(tmp_path: Path) -> None:
         assert (result["robots"], result["walls"], result["target_robot_steps_per_s"]) == (20, 50, 300_000)
         assert 0 < result["bytes_per_robot"] <= result["target_bytes_per_robot"] == 4096
         assert result["cpu_us_per_robot_step"] > 0.0
+
+
+@pytest.mark.usefixtures("plain_batch")
+def test_rays_are_measured_without_programs_that_are_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    for name in ("vmas", "kheperax", "torch", "jax"):
+        monkeypatch.setitem(sys.modules, name, None)
+    script = importlib.import_module("batch_rays")
+    assert script.main(["--robots", "3", "--rounds", "1", "--json"]) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert list(found) == ["batch"]
+    assert found["batch"]["cpu_ns_per_ray"] > 0.0
+    assert "pip install vmas" in err
+    assert "pip install kheperax" in err

@@ -18,7 +18,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.transports.stream import Deadline
-from tests.programs import forked
+from tests.programs import forked, ports
 from tests.programs.forked import Forked
 
 GS = codec.encode_tcp_request(Call("gs"))
@@ -74,8 +74,14 @@ def is_closed(peer: socket.socket) -> bool:
         return True
 
 
-@pytest.mark.parametrize("own_line", [False, True], ids=["nserver", "own line"])
-def test_silent_bridge_clients_do_not_block_stop(own_line: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("own_line", "is_portable"), [(False, False), (True, False), (True, True)], ids=["nserver", "own line", "portable"]
+)
+def test_silent_bridge_clients_do_not_block_stop(
+    own_line: bool, is_portable: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if is_portable:
+        monkeypatch.setenv(ports.VARIABLE, "1")
     link = tmp_path / "robot"
     with listening("nserver", "--port", "0", "--serial-link", str(link)) as (far, line):
         address = f"serial://{line}?model=n150" if own_line else f"nserver://{far}"

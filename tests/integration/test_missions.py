@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from nclient import connect
-from tests.programs import forked
+from tests.programs import forked, ports
 from tests.programs.forked import Forked
 
 TIMEOUT_S = 60.0
@@ -73,15 +73,19 @@ def run(mission: Path, address: str, *words: str) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("kind", ["sim", "nserver", "serial"])
-def test_mission_is_equal_on_every_address(kind: str, server: dict[str, str], mission: Path) -> None:
+@pytest.mark.parametrize("kind", ["sim", "nserver", "serial", "portable serial"])
+def test_mission_is_equal_on_every_address(
+    kind: str, server: dict[str, str], mission: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if kind == "portable serial":
+        monkeypatch.setenv(ports.VARIABLE, "1")
     report = run(mission, address_of(kind, server))
     assert report["ending"] == "done"
     assert [step["do"] for step in report["steps"]] == ["go_to", "look", "turn"]
     assert (report["pose"]["x_in"], report["pose"]["y_in"]) == pytest.approx((16.0, 8.0), abs=1.3)
     assert report["pose"]["heading_deg"] == pytest.approx(90.0, abs=5.0)
     assert report["touches"] == 0
-    assert (report["truth"] is None) == (kind == "serial")
+    assert (report["truth"] is None) == kind.endswith("serial")
     if kind != "sim":
         with connect(f"nserver://{server['nserver']}/1") as robot:
             truth = robot.truth()

@@ -82,9 +82,8 @@ def test_no_server_of_the_port() -> None:
         connect(f"serial+socket://127.0.0.1:{free_port()}")
 
 
-@pytest.mark.parametrize("portable", [False, True])
-def test_both_kinds_of_port_drive(line: Path, monkeypatch: pytest.MonkeyPatch, portable: bool) -> None:
-    monkeypatch.setattr(serial_port, "needs_portable", lambda _: portable)
+@pytest.mark.usefixtures("serial_ports")
+def test_both_kinds_of_port_drive(line: Path) -> None:
     with connect(f"serial://{line}?model=scout") as robot:
         before = robot.read_pose().x_in
         # Ahead, where there is room; the tests share the robot.

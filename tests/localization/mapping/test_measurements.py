@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from localization.filters.belief import Belief, wrap_angle
 from localization.filters.odometry import OdometryNoise, predict, step_between
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.measurements import build_trajectory, compose, integrate_odometry, read_drive, rotate
+from localization.mapping.measurements import Steps, build_trajectory, compose, integrate_odometry, read_drive, rotate
 from localization.mapping.problem import sensors_at
 from nclient.cli import main
 from nclient.errors import RecordingError
@@ -23,7 +24,7 @@ NOISE = OdometryNoise(0.05, 0.05, 0.002)
 def test_steps_lead_along_the_encoders() -> None:
     log = drive(1)
     instants = np.array([0.33, 1.0, 1.77, 9.4, 9.5, 30.0])
-    steps, _, _ = integrate_odometry(log, instants, NOISE)
+    steps, _, _ = integrate_odometry(log, np.stack((instants[:-1], instants[1:]), axis=-1), NOISE)
     poses = log.poses_at(instants)[:, :3]
     for before, step, after in zip(poses[:-1], steps, poses[1:], strict=True):
         found = compose(before, step)
@@ -35,7 +36,7 @@ def test_steps_lead_along_the_encoders() -> None:
 def test_covariance_and_derivative_are_the_filter_s_prediction() -> None:
     log = drive(2)
     instants = np.array([3.0, 9.7])
-    _, covariance, by_parameters = integrate_odometry(log, instants, NOISE)
+    _, covariance, by_parameters = integrate_odometry(log, np.stack((instants[:-1], instants[1:]), axis=-1), NOISE)
     # The extended Kalman filter over the same encoder poses; the parameters' covariance gives the derivative.
     times = np.concatenate((instants[:1], log.encoders[(log.encoders[:, 0] > 3.0) & (log.encoders[:, 0] < 9.7), 0],
                             instants[1:]))  # fmt: skip
@@ -87,3 +88,16 @@ def test_recording_without_a_restart_of_the_ring_is_refused(tmp_path: Path, caps
     capsys.readouterr()
     with pytest.raises(RecordingError, match="conf_sn"):
         read_drive(path)
+
+
+def test_odometry_that_was_integrated_before_is_used_again() -> None:
+    log, known = drive(), Steps()
+    whole = build_trajectory(log, NOISE, ConeSonar(), 0.15)
+    part = replace(log, instants_s=log.instants_s[:400], sonars=log.sonars[:400], readings_in=log.readings_in[:400])
+    build_trajectory(part, NOISE, ConeSonar(), 0.15, known)
+    before = len(known)
+    again = build_trajectory(log, NOISE, ConeSonar(), 0.15, known)
+    assert 0 < before < len(known)
+    np.testing.assert_array_equal(again.steps, whole.steps)
+    np.testing.assert_array_equal(again.step_info, whole.step_info)
+    np.testing.assert_array_equal(again.step_by_parameters, whole.step_by_parameters)

@@ -187,3 +187,12 @@ def test_toml_and_json_schema_name_the_same_types() -> None:
     assert parse_toml("x = 2026-01-01", "f", ValueError)["x"]
     assert "2026-01-01" in is_read("world", "name = 2026-01-01")
     assert not validator("world").is_valid(tomllib.loads("name = 2026-01-01"))
+
+
+@pytest.mark.parametrize("kind", ["faults", "mission", "model", "setup", "world"])
+def test_every_table_and_key_is_described(kind: str) -> None:
+    tables = file_schema(kind)["$defs"]
+    keys = {
+        f"{name}.{key}": entry for name, table in tables.items() for key, entry in table.get("properties", {}).items()
+    }
+    assert [name for name, entry in (tables | keys).items() if not entry.get("description")] == []

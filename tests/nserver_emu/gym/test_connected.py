@@ -70,6 +70,7 @@ def test_policy_drives_a_robot_of_a_server_which_stands_afterwards() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("serial_ports")
 def test_policy_drives_a_robot_on_a_serial_line(tmp_path: Path) -> None:
     with server("--serial-link", str(tmp_path / "nomad")) as link:
         drive(f"serial://{link}?model=n150")

@@ -1,0 +1,60 @@
+"""Walls between two points that no sound has crossed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.mapping import walls
+from localization.mapping.association import MapEstimate
+from localization.mapping.explore import _span_places
+from localization.mapping.learn import join_points, prune
+from localization.mapping.walls import extract_walls, free_paths, pass_through, uncrossed_spans
+
+
+@pytest.fixture
+def opened(estimate: MapEstimate) -> MapEstimate:
+    """The map of the room without its wall at y = -25, of which two points 40 in apart are known."""
+    found = estimate.copy()
+    south = int(np.argmax(np.abs(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0))[:, 0]))
+    found.remove(south)
+    found.add_point(np.array((10.0, -25.0)))
+    found.add_point(np.array((50.0, -25.0)))
+    found.associate()
+    return found
+
+
+def test_points_without_sound_between_them_are_a_wall(opened: MapEstimate) -> None:
+    spans = uncrossed_spans(opened, free_paths(opened))
+    # With the corners at both sides; the shortest first.
+    assert len(spans) == 3
+    (span,) = (span for span in spans if {span.one, span.other} == {4, 5})
+    np.testing.assert_allclose(np.sort(span.ends.reshape(2, 2), axis=0), [(10.0, -25.0), (50.0, -25.0)])
+    assert span.is_wall
+    assert join_points(opened) == 1
+    assert pass_through(opened.state.walls, span.ends[None], 1.0).any()
+    prune(opened)
+    (wall,) = (piece for piece in extract_walls(opened) if np.abs(piece.ends[:, 1] + 25.0).max() < 1.0)
+    assert wall.ends[:, 0].min() < 11.0
+    assert wall.ends[:, 0].max() > 49.0
+
+
+def test_points_with_sound_between_them_are_none(estimate: MapEstimate) -> None:
+    found = estimate.copy()
+    found.add_point(np.array((20.0, 25.0)))
+    found.add_point(np.array((50.0, 25.0)))
+    assert uncrossed_spans(found, free_paths(found)) == []
+    # Two paths decide it; a single one may be a mistaken echo.
+    across = np.array(((30.0, 0.0), (40.0, 0.0), (41.0, 0.0))), np.array(((30.0, 50.0), (40.0, 50.0), (41.0, 10.0)))
+    assert uncrossed_spans(found, across) == []
+    assert len(uncrossed_spans(found, (across[0][1:], across[1][1:]))) == 1
+
+
+def test_span_that_too_few_sonars_were_directed_at_is_visited(
+    opened: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert _span_places(opened) == []
+    monkeypatch.setattr(walls, "MIN_STOPPED", 1000)
+    places = sorted((place.kind, round(place.x_in), round(place.y_in)) for place in _span_places(opened))
+    assert len(places) == 6
+    assert {("span", 30, -43), ("span", 30, -7)} <= set(places)
