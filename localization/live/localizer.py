@@ -235,6 +235,8 @@ def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -
     passed_s = now.clock_s - before.clock_s
     if passed_s <= 0.0:
         return NO_LAG
+    # Two clocks that err by up to sqrt(3) std_s may be nearly equal: the robot is not that fast.
+    passed_s = max(passed_s, sqrt(3.0) * std_s)
     distance_in, turn_rad = _step(before, now)
     return std_s * distance_in / passed_s, std_s * turn_rad / passed_s
 

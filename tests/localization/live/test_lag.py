@@ -75,3 +75,10 @@ def test_spread_of_late_clocks_is_estimated(late_s: float, is_uneven: bool) -> N
         assert history.clock_rms_s == pytest.approx(np.sqrt(np.mean(drawn_s**2)), rel=0.05)
     else:
         assert history.clock_late_s == history.clock_rms_s == 0.0
+
+
+def test_nearly_equal_clocks_are_no_great_speed() -> None:
+    """A robot at 5 in/s, states every 0.1 s, clocks late by up to 0.1 s: the lag is at most that of its speed."""
+    std_s = 0.1 / np.sqrt(3.0)
+    ahead_in, _ = clock_lag(encoders(1.0, np.zeros(3)), encoders(1.001, np.array([0.5, 0.0, 0.0])), std_s)
+    assert ahead_in == pytest.approx(5.0 * std_s)
