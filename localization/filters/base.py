@@ -93,9 +93,9 @@ class RingFilter(Protocol):
 
 
 def process_each(
-    to: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+    filter_: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
 ) -> Sequence[Outcome]:
-    """Predict a filter to the instant of each echo, and update it.
+    """Predict a filter to the instant of each echo, and update it. `ekf.filter_ring` does so in one function.
 
     Parameters
     ----------
@@ -109,10 +109,13 @@ def process_each(
     results = []
     _, x, y, heading, _ = encoders
     for instant_s, sonar, reading_in in echoes:
+        # 1. The step of the encoders to their pose at the instant of the echo.
         to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-        to.predict(*relative_step(x, y, heading, to_x, to_y, to_heading))
-        results.append(to.update(sonar, turret - to_heading, reading_in))
+        distance_in, turn_rad = relative_step(x, y, heading, to_x, to_y, to_heading)
         x, y, heading = to_x, to_y, to_heading
+        # 2. Predict, and correct by the reading.
+        filter_.predict(distance_in, turn_rad)
+        results.append(filter_.update(sonar, turret - to_heading, reading_in))
     return results
 
 

@@ -140,7 +140,7 @@ def pack(x: Sequence[Any], P: Sequence[Sequence[Any]]) -> Belief:
 
 
 def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> None:
-    """Add weight v v' to P, in place."""
+    """Add weight v v^T to P, in place."""
     a, b, c = v[0], v[1], v[2]
     of_x, of_y, of_heading = P[0], P[1], P[2]
     scaled_a, scaled_b = weight * a, weight * b
@@ -289,7 +289,7 @@ def _gamma_fraction(shape: float, point: float) -> float:
 
 
 def nees(error: Floats, cov: Floats) -> Floats:
-    """Return the normalised estimation error squared (...), e' P^-1 e.
+    """Return the normalised estimation error squared (...), e^T P^-1 e.
 
     For a consistent filter it is chi-square distributed with n degrees of freedom, so n on average.
 

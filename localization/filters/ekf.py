@@ -1,9 +1,16 @@
 """The Kalman filter that `nomad localize` runs: extended, iterated or unscented, one sonar reading at a time.
 
-    filter_ring        all new echoes of a ring    for each: odometry.predict_state, then sonar_ray.update_by_ray or
-                                                   sonar_cone.update_by_cone; the gain is update.kalman_gain
-    predict, update    one step, one reading       the same by update.MeasurementUpdate, for other rules
+`KalmanFilter` lists the equations, and the function of each. Its methods (`registry`) process echoes differently:
 
+    method, model             echoes of a ring              predicts by               corrects by
+    ekf, rays                 filter_ring                   odometry.predict_state    sonar_ray.update_by_ray
+    ekf, cones                filter_ring                   odometry.predict_state    sonar_cone.update_by_cone
+    ekf, walls with levels    process_each, one by one      odometry.predict_state    update.pda_update, update.linear
+    iekf                      process_each, one by one      odometry.predict_state    update.pda_update, update.iterated
+    ukf                       process_each, one by one      ukf.predict_state         update.pda_update, ukf.unscented
+    smoother                  process_each, one by one      odometry.predict_state    as ekf
+
+`filter_ring` is compiled by numba where that is wanted (`compiled.ring`), with the same results to the bit.
 `update_ring` applies the same Kalman update to whole rings of many robots at once, for the experiments.
 """
 
@@ -29,7 +36,7 @@ from localization.filters.belief import (
     with_constants,
     wrap_angle,
 )
-from localization.filters.health import BUILDING, FilterHealth, HealthLimits, IntegrityMonitor
+from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
@@ -63,8 +70,12 @@ from localization.filters.update import (
     record_used,
 )
 
-SLIP_GAIN, SIDE_SLIP_IN, SLIP_RAD = 0.5, 0.3, 0.02
-"""Standard deviations that are added when the wheels may have slipped: along the heading, across it, and of it."""
+SLIP_GAIN: Final = 0.5
+"""Standard deviation along the heading after a slip of the wheels, as a fraction of the displacement."""
+SIDE_SLIP_IN: Final = 0.3
+"""Standard deviation across the heading after a slip, inches."""
+SLIP_RAD: Final = 0.02
+"""Standard deviation of the heading after a slip, radians."""
 
 PRESSED_NOISE: Final = 5.0
 """Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
@@ -75,6 +86,198 @@ NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 
 Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
 """Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
+
+
+class KalmanFilter:
+    """Kalman filter over a pose, odometry parameters, and the errors that all readings have in common.
+
+    For each echo, a scalar reading z at the end of a step u = (distance, turn) of the encoders, in order:
+
+        1  step         u since the last echo                   odometry.py: pose_at, relative_step
+        2  predict      x- = f(x, u)                            odometry.py: predict_state, jacobians (f, F, G)
+                        P- = F P F^T + G Q G^T                  odometry.py: predict_state, process_variance (Q)
+        3  expect       h(x-), H = dh/dx of the range           sonar_ray.py: predict_beam; sonar_cone.py: first_echoes
+                        with offset and scale of readings       update.py: expected_reading
+                        R, variance of z                        sonar_ray.py: range_variance
+                        R of a repeated reading                 update.py: inflated_variance
+        4  compare      innovation = z - h(x-)                  sonar_ray.py: update_by_ray; update.py: linear
+        5  gain         S = H P- H^T + R,  K = P- H^T / S       update.py: kalman_gain
+        6  gate, rays   NIS = innovation^2 / S <= threshold     sonar_ray.py: update_by_ray
+           cones        beta_j, probability of reflector j      update.py: pda_update
+        7  correct      x = x- + K innovation                   update.py: shift
+                        P = P- - K S K^T                        belief.py: add_outer
+
+    A cone has 3 to 5 for each reflector j, and 7 for their mixture (`update.pda_update`). The iterated filter repeats
+    3 to 5 at the most likely state (`update.iterated`). The unscented filter has sigma points for the derivatives: in 2
+    `ukf.predict_state`, in 3 to 5 `ukf.unscented`.
+
+    Parameters
+    ----------
+    belief
+        Belief before the first step, over states (n,), 3 <= n <= 6: the pose and odometry parameters.
+    measurement
+        The measurement model and the rule of correction.
+    odometry
+        Noise of the encoders.
+    prediction
+        The prediction step: extended by default.
+    range_stds
+        Prior standard deviations of the range parameters, for a model that has them (`LocalizationConfig`).
+    middle_in
+        Middle of the map, about which its scale may be wrong.
+    limits
+        Limits of the monitor. Default: those of `HealthLimits`.
+
+    References
+    ----------
+    Thrun, Burgard, Fox, Probabilistic Robotics (2005), table 3.3; Bar-Shalom, Li, Kirubarajan, Estimation with
+    Applications to Tracking and Navigation (2001), table 5.2.4-1 for the form of P.
+    """
+
+    def __init__(
+        self,
+        belief: Belief,
+        measurement: MeasurementUpdate,
+        odometry: OdometryNoise,
+        prediction: Prediction = predict_state,
+        range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0),
+        limits: HealthLimits | None = None,
+    ) -> None:
+        # The state: `size` coordinates of pose and odometry parameters, then the range parameters, which are constant.
+        self._x, self._P = unpack(with_constants(belief, range_stds))
+        self._size, self._constants, self._middle_in = len(belief.mean), len(range_stds), middle_in
+        self._measurement, self._odometry, self._predict = measurement, odometry, prediction
+        # The path of the echoes, as in the table at the head of this file.
+        self._direct = measurement.direct if prediction is predict_state else None
+        """The model, where `filter_ring` takes a whole ring by it; None: `process_each`, one by one."""
+        self._compiled = compiled.ring(filter_ring, self._direct, odometry)
+        """`filter_ring` as machine code, where that is wanted; None: as plain Python."""
+        self._odometric = measurement.odometric
+        """The model, where it relates an echo to earlier ones and so needs each step: walls with levels."""
+        self._correlated = CorrelatedReadings(as_array=self._compiled is not None)
+        # The monitor of the estimate, and the outcomes that it judges by.
+        self._monitor = IntegrityMonitor(limits)
+        self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
+        self.detects_slips = True
+
+    @property
+    def belief(self) -> Belief:
+        """The present belief over pose and odometry parameters, mean (n,) and covariance (n, n)."""
+        return marginal(self.state, self._size)
+
+    @property
+    def state(self) -> Belief:
+        """The present belief over the whole state, with the range parameters."""
+        return pack(self._x, self._P)
+
+    @property
+    def health(self) -> FilterHealth:
+        """Health of the estimate; a filter that considers one pose only never reports LOST."""
+        return self._monitor.health(self._P)
+
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict the belief after a step that the encoders report: x- = f(x, u), P- = F P F^T + G Q G^T."""
+        if self._odometric:
+            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
+        self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
+        self._correlated.move(distance_in, turn_rad)
+
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct the belief by a reading of a sonar that fired at this very pose: x = x- + K (z - h(x-)).
+
+        Only readings that are used can be repeated, and only informative ones enter the health.
+        """
+        count = self._correlated.count(sonar, turret_offset_rad) + 1
+        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
+        if result.refusal is Refusal.NONE:
+            self._correlated.record(sonar, turret_offset_rad)
+        if result.refusal in self._informative:
+            self._add(result)
+            self._check_slip()
+        return result
+
+    def process(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+    ) -> Sequence[Outcome]:
+        """Predict to the instant of each echo and update; see `process_each`."""
+        if not self._direct:
+            return process_each(self, encoders, poses, echoes)
+        x, P, used, noise, model = self._x, self._P, self._correlated.used, self._odometry, self._direct
+        # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
+        low_in, high_in, last = model.noise.lowest_in, model.noise.highest_in, len(echoes) - 1
+        numbers = [k for k, (_, _, reading_in) in enumerate(echoes) if low_in < reading_in < high_in or k == last]
+        ranges = echoes if len(numbers) == len(echoes) else [echoes[k] for k in numbers]
+        # 2. Predict to each range and correct by it.
+        if self._compiled:
+            results = self._compiled.filter(x, P, used, encoders, poses, ranges)
+        else:
+            results = filter_ring(x, P, used, encoders, poses, ranges, noise, model, model.update)
+        # 3. The outcomes of all echoes; the monitor judges by those of ranges.
+        outcomes = [NO_RANGE] * len(echoes)
+        for k, outcome in zip(numbers, results, strict=True):
+            outcomes[k] = outcome
+            refusal, _, _, _, _, _ = outcome
+            if refusal in self._informative:
+                self._add(outcome)
+        self._check_slip()
+        return outcomes
+
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by what the filter leaves out of P.
+
+        1. Innovations larger than their S explains: P is multiplied by their mean NIS.
+        2. The lag: instants of echoes and of states that are not known exactly.
+        3. The scale of the map: readings that are all too long by a fraction s are of colder air, or of a map that is
+           too small by s. No reading tells one from the other. The map puts the robot s times its distance from the
+           middle off.
+        4. A slip of the wheels, by its probability.
+        """
+        # The pose does not depend on the range parameters.
+        x, P = self._x[: self._size], [row[: self._size] for row in self._P[: self._size]]
+        # 1. P <- NIS P, before the step.
+        nis_ratio = self._monitor.nis_ratio
+        if nis_ratio != 1.0:
+            P = [[nis_ratio * cov for cov in row] for row in P]
+        self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
+        # 2. Along the heading, and of it.
+        if lag != NO_LAG:
+            widen(x, P, lag)
+        # 3. Away from the middle; the scale is the last range parameter.
+        if self._constants:
+            scale, (middle_x, middle_y) = self._x[-1], self._middle_in
+            add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
+        # 4. Along the heading: the mean square of the displacement.
+        _, slipped_in2 = self._monitor.slip.slipped
+        if slipped_in2:
+            add_outer(P, slipped_in2, (*unit_vector(x[HEADING]), 0.0))
+        return Belief(np.array(x), np.array(P))
+
+    def roll_on_spot(self, distance_in: float) -> None:
+        """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
+        q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance_in), 0.0, self._odometry)
+        c, s = unit_vector(self._x[HEADING])
+        # P <- P + G Q G^T of a step without length: along the heading, and of it.
+        add_outer(self._P, q_distance, (c, s, 0.0))
+        add_outer(self._P, q_turn, (0.0, 0.0, 1.0))
+
+    def _add(self, outcome: Outcome) -> None:
+        """Let the monitor know of a reading, and of how far it displaces the robot along its heading."""
+        self._monitor.add(outcome)
+        if self.detects_slips and self._monitor.limits.slip_nats < inf:
+            _, innovation_in, nis, _, _, slope = outcome
+            self._monitor.slip.add(innovation_in, nis, slope)
+
+    def _check_slip(self) -> None:
+        """Widen the covariance by a slip of the wheels if the last readings agree on one."""
+        slip_in = self._monitor.take_slip()
+        if slip_in is not None:
+            std = SLIP_GAIN * abs(slip_in)
+            c, s = unit_vector(self._x[HEADING])
+            # Along the heading, across it, and of it.
+            add_outer(self._P, 1.0, (std * c, std * s, 0.0))
+            add_outer(self._P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
+            add_outer(self._P, 1.0, (0.0, 0.0, SLIP_RAD))
 
 
 def filter_ring(
@@ -94,6 +297,8 @@ def filter_ring(
 
     Parameters
     ----------
+    x, P
+        State and covariance at the pose `encoders` (`belief.unpack`).
     used
         Of `CorrelatedReadings`.
     encoders, poses, echoes
@@ -102,176 +307,27 @@ def filter_ring(
         The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
     """
     outcomes = []
-    x_in, y_in, heading = encoders[1], encoders[2], encoders[3]
+    _, x_in, y_in, heading, _ = encoders
     for echo in echoes:
-        # 1. Predict to the pose of the encoders at the instant of the echo.
-        to_x, to_y, to_heading, turret = pose_at(poses, echo[0])
+        # By index: numba cannot unpack a row of an array.
+        instant_s, sonar, reading_in = echo[0], int(echo[1]), echo[2]
+        # 1. u, the step of the encoders to their pose at the instant of the echo.
+        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
         distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
+        x_in, y_in, heading = to_x, to_y, to_heading
+        # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
         predict_state(x, P, distance, turn, noise, model.range_parameters)
         move_on(used, distance, turn)
-        x_in, y_in, heading = to_x, to_y, to_heading
-        # 2. Correct by the reading, the `count`-th one used from here.
-        sonar, offset = int(echo[1]), turret - to_heading
-        count = count_used(used, sonar, offset) + 1
-        outcome = correct(x, P, mount_at(model.mounts, sonar, offset), echo[2], model, count)
-        if outcome[0] == NONE:
-            record_used(used, sonar, offset, count)
+        # 3. to 7. S = H P- H^T + R, K = P- H^T / S, x = x- + K (z - h(x-)), P = P- - K S K^T, unless the model refuses
+        #    z, the `count`-th reading of this sonar that is used from here.
+        turret_offset = turret - to_heading
+        mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
+        outcome = correct(x, P, mount, reading_in, model, count)
+        refusal, _, _, _, _, _ = outcome
+        if refusal == NONE:
+            record_used(used, sonar, turret_offset, count)
         outcomes.append(outcome)
     return outcomes
-
-
-class KalmanFilter:
-    """Gaussian filter over poses, or states with odometry parameters, and the errors that all readings have in common.
-
-    Parameters
-    ----------
-    belief
-        Belief before the first step, over states (n,), 3 <= n <= 6: the pose and odometry parameters.
-    measurement
-        The measurement model and the rule of correction.
-    odometry
-        Noise of the encoders.
-    prediction
-        The prediction step: extended by default.
-    range_stds
-        Prior standard deviations of the range parameters, for a model that has them (`LocalizationConfig`).
-    middle_in
-        Middle of the map, about which its scale may be wrong.
-    limits
-        Limits of the monitor.
-    """
-
-    def __init__(
-        self,
-        belief: Belief,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-        prediction: Prediction = predict_state,
-        range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0),
-        limits: HealthLimits | None = None,
-    ) -> None:
-        self._x, self._P = unpack(with_constants(belief, range_stds))
-        self._size, self._constants, self._middle_in = len(belief.mean), len(range_stds), middle_in
-        self.detects_slips = True
-        self._measurement = measurement
-        self._odometry = odometry
-        self._predict = prediction
-        self._monitor = IntegrityMonitor(limits)
-        self._correlated = CorrelatedReadings()
-        self._direct = measurement.direct if prediction is predict_state else None
-        self._odometric = measurement.odometric
-        self._informative: Sequence[int] = INFORMATIVE
-        if self._odometric:
-            self._informative, self._monitor = INFORMATIVE_IN_CLUTTER, IntegrityMonitor(BUILDING)
-        self._compiled = compiled.ring(filter_ring, self._direct, odometry)
-        if self._compiled:
-            self._correlated.used = np.array(self._correlated.used)  # type: ignore[assignment]
-
-    @property
-    def belief(self) -> Belief:
-        """The present belief over pose and odometry parameters, mean (n,) and covariance (n, n)."""
-        return marginal(self.state, self._size)
-
-    @property
-    def state(self) -> Belief:
-        """The present belief over the whole state, with the range parameters."""
-        return pack(self._x, self._P)
-
-    @property
-    def health(self) -> FilterHealth:
-        """Health of the estimate; a filter that considers one pose only never reports LOST."""
-        return self._monitor.health(self._P)
-
-    def predict(self, distance_in: float, turn_rad: float) -> None:
-        """Predict the belief after a step that the encoders report."""
-        if self._odometric:
-            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
-        self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
-        self._correlated.move(distance_in, turn_rad)
-
-    def roll_on_spot(self, distance_in: float) -> None:
-        """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
-        q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance_in), 0.0, self._odometry)
-        c, s = unit_vector(self._x[HEADING])
-        add_outer(self._P, q_distance, (c, s, 0.0))
-        add_outer(self._P, q_turn, (0.0, 0.0, 1.0))
-
-    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
-        """Return the belief after such a step, without taking it, widened by what the model leaves out.
-
-        That is a lag, innovations that are larger than they should be, the scale of the map, and a slip of the wheels.
-
-        Readings that are all too long by a fraction s are of colder air, or of a map that is too small by s: then the
-        robot is s times its distance from the middle off. No reading tells one from the other.
-        """
-        # The pose does not depend on the range parameters.
-        size, ratio = self._size, self._monitor.nis_ratio
-        x, P = self._x[:size], [row[:size] for row in self._P[:size]]
-        if ratio != 1.0:
-            P = [[ratio * cov for cov in row] for row in P]
-        self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
-        if lag != NO_LAG:
-            widen(x, P, lag)
-        if self._constants:
-            scale, (middle_x, middle_y) = self._x[-1], self._middle_in
-            add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
-        _, slipped_in2 = self._monitor.slip.slipped
-        if slipped_in2:
-            add_outer(P, slipped_in2, (*unit_vector(x[HEADING]), 0.0))
-        return Belief(np.array(x), np.array(P))
-
-    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        """Correct the belief by a reading of a sonar that fired at this very pose."""
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
-        if result.refusal is Refusal.NONE:
-            self._correlated.record(sonar, turret_offset_rad)
-        if result.refusal in self._informative:
-            self._add((result.refusal, *result[1:]))
-            self._check_slip()
-        return result
-
-    def _add(self, outcome: Outcome) -> None:
-        """Let the monitor know of a reading, and of how far it displaces the robot along its heading."""
-        self._monitor.add(outcome)
-        if self.detects_slips and self._monitor.limits.slip_nats < inf:
-            _, innovation_in, nis, _, _, slope = outcome
-            self._monitor.slip.add(innovation_in, nis, slope)
-
-    def _check_slip(self) -> None:
-        """Widen the covariance by a slip of the wheels, along the heading, if the last readings agree on one."""
-        slip_in = self._monitor.take_slip()
-        if slip_in is not None:
-            std = SLIP_GAIN * abs(slip_in)
-            c, s = unit_vector(self._x[HEADING])
-            add_outer(self._P, 1.0, (std * c, std * s, 0.0))
-            add_outer(self._P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
-            add_outer(self._P, 1.0, (0.0, 0.0, SLIP_RAD))
-
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `process_each`."""
-        if not self._direct:
-            return process_each(self, encoders, poses, echoes)
-        x, P, used, noise, model = self._x, self._P, self._correlated.used, self._odometry, self._direct
-        # A limit is no range: the filter passes over it. It predicts to the last echo in any case.
-        low_in, high_in, last = model.noise.lowest_in, model.noise.highest_in, len(echoes) - 1
-        ranges = [k for k, echo in enumerate(echoes) if low_in < echo[2] < high_in or k == last]
-        some = echoes if len(ranges) == len(echoes) else [echoes[k] for k in ranges]
-        if self._compiled:
-            results = self._compiled.filter(x, P, used, encoders, poses, some)
-        else:
-            results = filter_ring(x, P, used, encoders, poses, some, noise, model, model.update)
-        outcomes = [NO_RANGE] * len(echoes)
-        for k, outcome in zip(ranges, results, strict=True):
-            outcomes[k] = outcome
-        for outcome in outcomes:
-            if outcome[0] in INFORMATIVE:
-                self._add(outcome)
-        self._check_slip()
-        return outcomes
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:
@@ -294,8 +350,9 @@ def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Float
     nis: Floats = np.zeros(belief.mean.shape[:-1])
     for beam in range(observation.innovation.shape[-1]):
         H = [observation.H[..., beam, index] for index in range(observation.H.shape[-1])]
-        # The innovation of this reading after those before it, in the linear model.
+        # 1. innovation = z - h - H x: of this reading after those before it, in the linear model.
         innovation = observation.innovation[..., beam] - sum(h * change for h, change in zip(H, x, strict=True))
+        # 2. S = H P H^T + R, K = P H^T / S, x + K innovation, P - K S K^T.
         nis = nis + kalman_update(x, P, H, observation.R[..., beam], innovation)
     updated = pack([before + change for before, change in zip(np.moveaxis(belief.mean, -1, 0), x, strict=True)], P)
     updated.mean[..., HEADING] = wrap_angle(updated.mean[..., HEADING])

@@ -1,8 +1,8 @@
 """The odometry motion model, and the prediction step of the Kalman filter.
 
     u    (distance_in, turn_rad)      the step that the encoders report: inches rolled, radians turned
-    x'   = f(x, u)                    straight along the heading half-way through the turn
-    P'   = F P F' + G Q G'            F = df/dx, G = df/du, Q the variances of the step
+    x-   = f(x, u)                    straight along the heading half-way through the turn
+    P-   = F P F^T + G Q G^T          F = df/dx, G = df/du, Q the variances of the step
 
 A state is a pose and as many odometry parameters as its n has room for, in this order; n = 3 is the pose alone:
 
@@ -157,11 +157,11 @@ def predict_state(
     # 1. The motion model and its derivatives.
     d, t, (g_x, g_y), (h_x, h_y) = jacobians(x, distance, turn, constants)
     q_distance, q_turn = process_variance(distance, turn, noise)
-    # 2. x' = f(x, u).
+    # 2. x- = f(x, u).
     x[0] = x[0] + d * g_x
     x[1] = x[1] + d * g_y
     x[HEADING] = wrap_angle(x[HEADING] + t)
-    # 3. P <- F P F'. F is the product of one factor I + f e_k' for each column k: the heading, whose column is
+    # 3. P <- F P F^T. F is the product of one factor I + f e_k^T for each column k: the heading, whose column is
     #    twice that of the turn in G, but for its 1, and the parameters.
     of_x, of_y, of_heading = P[0], P[1], P[2]
     f_x, f_y = 2.0 * h_x, 2.0 * h_y
@@ -190,7 +190,7 @@ def predict_state(
             of_heading[2] = of_heading[2] + c * of_heading[k]
             for j in range(POSE, n):
                 P[j][0], P[j][1], P[j][2] = of_x[j], of_y[j], of_heading[j]
-    # 4. P <- P + G Q G'; the lower half by symmetry.
+    # 4. P <- P + G Q G^T; the lower half by symmetry.
     of_x[0] = of_x[0] + q_distance * g_x * g_x + q_turn * h_x * h_x
     of_y[0] = of_x[1] = of_x[1] + q_distance * g_x * g_y + q_turn * h_x * h_y
     of_heading[0] = of_x[2] = of_x[2] + q_turn * h_x
@@ -257,7 +257,7 @@ def step_variance(step: Floats, noise: OdometryNoise) -> Floats:
 
 
 def process_covariance(G: Floats, step: Floats, noise: OdometryNoise) -> Floats:
-    """Return G Q G' (..., 3, 3), the covariance that steps (..., 2) add to a pose.
+    """Return G Q G^T (..., 3, 3), the covariance that steps (..., 2) add to a pose.
 
     It has rank 2, two noises in three coordinates, and cannot be inverted.
     """

@@ -120,7 +120,7 @@ class EchoReplay:
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
         """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
         x, P = unpack(belief)
-        nats = sum(log(outcome[4]) for outcome in self._outcomes(x, P, before, records))
+        nats = sum(log(likelihood) for _, _, _, _, likelihood, _ in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
     def _outcomes(
@@ -130,7 +130,7 @@ class EchoReplay:
         if not self._measurement.direct:
             return self._one_by_one(x, P, before, records)
         # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
-        used, outcomes = CorrelatedReadings().used, list[Outcome]()
+        used, outcomes = CorrelatedReadings(as_array=self._ring is not None).used, list[Outcome]()
         at = (-1.0, *before.tolist(), 0.0)
         for first in range(0, len(records), LAST_RECORDS):
             part = records[first : first + LAST_RECORDS]
@@ -140,9 +140,7 @@ class EchoReplay:
             ]
             echoes = [(float(first + k), each.sonar, each.reading_in) for k, each in enumerate(part)]
             if self._ring:
-                rows = np.array(used)
-                outcomes += self._ring.filter(x, P, rows, at, poses, echoes)
-                used = rows.tolist()
+                outcomes += self._ring.filter(x, P, used, at, poses, echoes)
             else:
                 direct = self._measurement.direct
                 outcomes += filter_ring(x, P, used, at, poses, echoes, self.odometry, direct, direct.update)

@@ -16,7 +16,7 @@ from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter, Prediction
 from localization.filters.global_localization import GlobalLocalizer
-from localization.filters.health import HealthLimits
+from localization.filters.health import BUILDING, HealthLimits
 from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
 from localization.filters.own import SEPARATOR, make_own
 from localization.filters.particles import (
@@ -181,12 +181,12 @@ def _kalman(
 ) -> KalmanFilter:
     """Return a Kalman filter that estimates the range parameters as well, unless the configuration has none."""
     stds = config.range_stds or ()
-    measurement = _measurement(config, rule, len(stds))
+    measurement, limits = _measurement(config, rule, len(stds)), _LIMITS
     if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
         # It stores echoes: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
-        measurement = MeasurementUpdate(SurfaceModel(cone))
-    return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), _LIMITS)
+        measurement, limits = MeasurementUpdate(SurfaceModel(cone)), BUILDING
+    return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), limits)
 
 
 def _middle(config: LocalizationConfig) -> tuple[float, float]:

@@ -63,7 +63,7 @@ class FixedLagSmoother(KalmanFilter):
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict, and store what smoothing needs.
 
-        C = P_k F' P_k+1|k^-1, with the pseudo-inverse: a coordinate that is certain stays so.
+        C = P_k F^T P_k+1|k^-1, with the pseudo-inverse: a coordinate that is certain stays so.
         """
         filtered = self.state
         super().predict(distance_in, turn_rad)
@@ -83,7 +83,7 @@ class FixedLagSmoother(KalmanFilter):
 def smooth(step: Step, later: Belief) -> Belief:
     """Return the smoothed belief before a prediction from the smoothed belief `later`, after it.
 
-    x_k^s = x_k + C (x_k+1^s - x_k+1|k)        P_k^s = P_k + C (P_k+1^s - P_k+1|k) C'
+    x_k^s = x_k + C (x_k+1^s - x_k+1|k)        P_k^s = P_k + C (P_k+1^s - P_k+1|k) C^T
 
     References
     ----------

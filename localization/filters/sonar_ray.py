@@ -375,8 +375,8 @@ def sideways_shift(
 ) -> tuple[Number, Number, Number]:
     """Return the change of the pose, `sigmas` standard deviations, that moves the end of a beam farthest sideways.
 
-    With g = (-dy, dx, distance), the derivative of the sideways motion by the pose, that is sigmas P g / sqrt(g' P g):
-    to first order, no other pose of the ellipsoid dx' P^-1 dx = sigmas^2 moves the end farther. The ends of the
+    With g = (-dy, dx, distance), the derivative of the sideways motion by the pose, that is sigmas P g / sqrt(g^T P g):
+    to first order, no other pose of the ellipsoid dx^T P^-1 dx = sigmas^2 moves the end farther. The ends of the
     principal axes would be six poses, and may fall short by a factor of sqrt(3).
     """
     Pg_x = P[0][2] * distance - P[0][0] * dy + P[0][1] * dx
@@ -440,7 +440,7 @@ def predict_beam(
 
 
 def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Number:
-    """Return H P H', the variance of the expected range, for a derivative by the pose."""
+    """Return H P H^T, the variance of the expected range, for a derivative by the pose."""
     a, b, c = H
     return (
         a * (a * P[0][0] + 2.0 * (b * P[0][1] + c * P[0][2])) + b * (b * P[1][1] + 2.0 * c * P[1][2]) + c * c * P[2][2]
@@ -470,17 +470,18 @@ def update_by_ray(
     beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, model.walls, model.gate, mount.left_in)
     if beam.refusal != NONE:
         return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in, 0.0
-    # 3. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
+    # 3. innovation = z - h(x), S = H P H^T + R, K = P H^T / S.
     R = range_variance(noise, beam.range_in)
     expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
     innovation = reading_in - expected_in
     K, S = kalman_gain(P, H, R)
+    # 4. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
     nis = innovation * innovation / S
     slope = forward_slope(H, *unit_vector(x[HEADING]))
     if not nis <= model.threshold:
         return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
-    # 4. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
+    # 5. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
         K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
     shift(x, K, innovation)

@@ -70,7 +70,7 @@ def offsets(root: Floats, reach: float) -> Floats:
 
 
 def root_of(cov: Floats) -> Floats:
-    """Return a root (n, n), root root' = cov: Cholesky's, or by eigenvalues where a coordinate is certain."""
+    """Return a root (n, n), root root^T = cov: Cholesky's, or by eigenvalues where a coordinate is certain."""
     try:
         root = np.asarray(np.linalg.cholesky(cov), dtype=np.float64)
     except np.linalg.LinAlgError:

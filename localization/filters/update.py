@@ -87,7 +87,8 @@ INFORMATIVE_IN_CLUTTER: Final = (NONE, GATE)
 
 
 Outcome = tuple[int, float, float, float, float, float]
-"""An `UpdateResult` as formulas return it: the refusal is a code."""
+"""An `UpdateResult` as formulas return it: refusal (a code), innovation_in, nis, outlier_probability, likelihood and
+slope. A plain tuple: a named one takes longer to make, and there is one for each echo."""
 
 
 class UpdateResult(NamedTuple):
@@ -536,43 +537,55 @@ def inflated_variance(variance: float, constant: float, count: int) -> float:
     return variance / max(information_fraction(variance, constant, count), MIN_INFORMATION)
 
 
-Used = list[list[float]]
-"""For each sonar, of the first reading used from a pose: travel and turn until then, the turret, and how many were used
-from there; in a last row travel and turn so far."""
+Used = list[list[float]] | Floats
+"""For each sonar a row of the first reading that was used from the present pose (`TRAVEL`, ...), and a last row with
+travel and turn so far. Lists for plain Python, an array for compiled code."""
+TRAVEL, TURN, TURRET, COUNT = range(4)
+"""Columns: inches travelled and radians turned until this reading, the turret against the heading in radians, and the
+number of readings used from its pose."""
 
 
 def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
     """Take note of a step of the encoders."""
     so_far = used[-1]
-    so_far[0] += abs(distance_in)
-    so_far[1] += turn_rad
+    so_far[TRAVEL] += abs(distance_in)
+    so_far[TURN] += turn_rad
 
 
 def count_used(used: Used, sonar: int, turret_offset_rad: float) -> int:
     """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
     first, so_far = used[sonar], used[-1]
-    turned_rad = so_far[1] - first[1]
+    turned_rad = so_far[TURN] - first[TURN]
     is_here = (
-        so_far[0] - first[0] <= SAME_POSE_IN
+        so_far[TRAVEL] - first[TRAVEL] <= SAME_POSE_IN
         and abs(turned_rad) <= SAME_POSE_RAD
-        and abs(wrap_angle(turned_rad + turret_offset_rad - first[2])) <= SAME_POSE_RAD
+        and abs(wrap_angle(turned_rad + turret_offset_rad - first[TURRET])) <= SAME_POSE_RAD
     )
-    return int(first[3]) if is_here else 0
+    return int(first[COUNT]) if is_here else 0
 
 
 def record_used(used: Used, sonar: int, turret_offset_rad: float, count: int) -> None:
     """Record the `count`-th reading used from here."""
     first, so_far = used[sonar], used[-1]
     if count == 1:
-        first[0], first[1], first[2] = so_far[0], so_far[1], turret_offset_rad
-    first[3] = float(count)
+        first[TRAVEL], first[TURN], first[TURRET] = so_far[TRAVEL], so_far[TURN], turret_offset_rad
+    first[COUNT] = float(count)
 
 
 class CorrelatedReadings:
-    """Count the used readings of each sonar from the pose where the robot stands, by odometry alone."""
+    """Count the used readings of each sonar from the pose where the robot stands, by odometry alone.
 
-    def __init__(self, sonars: int = MAX_SONARS) -> None:
-        self.used: Used = [[0.0] * 4 for _ in range(sonars + 1)]
+    Parameters
+    ----------
+    sonars
+        Number of sonars.
+    as_array
+        Store the rows of `used` in an array, as compiled code takes them, instead of lists.
+    """
+
+    def __init__(self, sonars: int = MAX_SONARS, *, as_array: bool = False) -> None:
+        rows = [[0.0] * 4 for _ in range(sonars + 1)]
+        self.used: Used = np.array(rows) if as_array else rows
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the encoders."""

@@ -9,12 +9,12 @@ import pytest
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.ekf import KalmanFilter
-from localization.filters.health import HealthStatus
+from localization.filters.health import HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import BUILDING_SONAR, ConeModel, ConeSonar
 from localization.filters.surface import SurfaceModel
-from localization.filters.update import Refusal
+from localization.filters.update import MeasurementUpdate, Refusal
 from worlds.rings import Ring
 from worlds.robots import N150, Body
 
@@ -155,6 +155,15 @@ def test_echoes_that_contradict_the_map_are_a_reason_for_doubt() -> None:
         localizer.update(LEFT, 0.0, 70.0)
         localizer.update(RIGHT, 0.0, 12.0)
     assert localizer.health.status is HealthStatus.DEGRADED
+
+
+def test_limits_of_the_monitor_are_those_given() -> None:
+    """A position known to 5 in along a corridor is good in a building, by its own limits."""
+    start, std = [0.0, 0.0, 0.0], [5.0, 0.5, 0.01]
+    assert surface_filter(start, std).health.status is HealthStatus.OK
+    measurement = MeasurementUpdate(SurfaceModel(ConeModel(CORRIDOR, N150, SONAR)))
+    strict = KalmanFilter(independent(start, std), measurement, EXACT, limits=HealthLimits(max_std_in=4.0))
+    assert strict.health.status is HealthStatus.DEGRADED
 
 
 def test_other_sonars_have_no_surface() -> None:
