@@ -1,7 +1,7 @@
 """The server process: listening sockets, connections, and the loop that advances simulated time with real time.
 
 Used by `nserver` (nserver_emu/cli.py), which opens its ports, control socket, viewer and files around it. Connections
-are in connection.py, robots' own lines in serial_lines.py, shares of the event loop in scheduling.py.
+are in connection.py, robots' own lines in serial_lines.py.
 """
 
 import asyncio
@@ -30,10 +30,9 @@ from nserver_emu.server.admission import (
     ReservableConnection,
 )
 from nserver_emu.server.client_registry import ClientRegistry
-from nserver_emu.server.connection import ConnectionHandler, TcpConnection
+from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
-from nserver_emu.server.scheduling import FairScheduler
 from nserver_emu.server.session import CommandHandler
 
 log = logging.getLogger(__name__)

@@ -29,7 +29,7 @@ from aiohttp.http import HttpProcessingError
 from nclient.common.allowlist import LOOPBACK_NAME
 from nclient.errors import NomadError
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
-from nserver_emu.server.scheduling import TokenBucket
+from nserver_emu.server.connection import TokenBucket
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""

@@ -18,7 +18,7 @@ from aiohttp import WSCloseCode, web
 from nclient.common.allowlist import NOT_ALLOWED
 from nclient.errors import ConnectionLost
 from nserver_emu.server.admission import AdmissionControl, listen
-from nserver_emu.server.scheduling import FairScheduler, TokenBucket
+from nserver_emu.server.connection import FairScheduler, TokenBucket
 from nserver_emu.viewer import auth
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]

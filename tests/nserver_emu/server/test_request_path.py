@@ -23,8 +23,6 @@ PROTOCOL, EMULATOR = (Path(package.__file__ or "").parent for package in (nclien
 SIMULATION, ROBOT = EMULATOR / "simulation", EMULATOR / "simulation" / "robot.py"
 # Conversions of units, which call nothing.
 UNITS = PROTOCOL / "types.py"
-# Beside the path: decides if the request is answered now, and sees neither its bytes nor its reply.
-SCHEDULER, SCHEDULER_CALLS = EMULATOR / "server" / "scheduling.py", {"may_run_now", "charge"}
 
 
 class FakeSocket:
@@ -65,9 +63,7 @@ def files_of(connection: TcpConnection, call: Call) -> set[Path]:
 
     def note(frame: FrameType, event: str, _: object) -> None:
         if event == "call":
-            file = Path(frame.f_code.co_filename)
-            assert file != SCHEDULER or frame.f_code.co_name in SCHEDULER_CALLS
-            files.add(file)
+            files.add(Path(frame.f_code.co_filename))
 
     sys.setprofile(note)
     try:
@@ -75,13 +71,13 @@ def files_of(connection: TcpConnection, call: Call) -> set[Path]:
     finally:
         sys.setprofile(None)
     behind_robot = {file for file in files if SIMULATION in file.parents and file != ROBOT}
-    return {file for file in files - behind_robot - {UNITS, SCHEDULER} if PROTOCOL in file.parents or EMULATOR in file.parents}
+    return {file for file in files - behind_robot - {UNITS} if PROTOCOL in file.parents or EMULATOR in file.parents}
 
 
 @pytest.mark.parametrize("call", [Call("gs"), Call("vm", (100, 0, 0)), Call("st")], ids=lambda call: call.name)
 async def test_a_request_crosses_at_most_six_files(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     # No turn of the event loop ends here, and the profiler makes everything slow.
-    monkeypatch.setattr("nserver_emu.server.scheduling.TURN_BUDGET_S", 10.0)
+    monkeypatch.setattr("nserver_emu.server.connection.TURN_BUDGET_S", 10.0)
     emulator = open_address("sim:thesis_room").emulator
     emulator.clock.lockstep_s = None
     connection, transport = TcpConnection(Daemon(emulator)), FakeTransport()

@@ -11,9 +11,8 @@ import pytest
 
 from nclient.protocol.commands import Call
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.server.connection import MAX_PREPARING_STEPS
+from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.scheduling import TURN_BUDGET_S, FairScheduler
 from nserver_emu.server.server_state import PREPARING_S, ServerState
 from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.acoustics import Polaroid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.scheduling import TokenBucket
+from nserver_emu.server.connection import TokenBucket
 
 
 def test_over_a_long_time_it_is_the_rate() -> None:

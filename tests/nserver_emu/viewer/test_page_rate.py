@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from nserver_emu.server.scheduling import FairScheduler, TokenBucket
+from nserver_emu.server.connection import FairScheduler, TokenBucket
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import http_port
 from nserver_emu.viewer.http_port import PageMessages, wait_for_rate
