@@ -1,10 +1,10 @@
 """Time of a ray among 50 walls: the batch simulation, VMAS and Kheperax in the same run, by turns.
 
-    pip install vmas kheperax    (torch and jax of the CPU are enough)
     python benchmarks/batch_rays.py [--robots N] [--rounds N] [--threads N] [--json]
 
 Each robot stands between the 50 walls of the benchmark's room and casts sixteen rays. Of the batch that is the reading
-of sixteen sonars that have fired, rounded to their resolution. A program that is not installed is left out.
+of sixteen sonars that have fired, rounded to their resolution. Of the packages vmas and kheperax (torch and jax of the
+CPU are enough) one that is not installed is left out.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def measure(robots: int, rounds: int, threads: int | None) -> dict[str, dict[str
         try:
             casts[name] = make(places, walls, threads)
         except ImportError as error:
-            print(f"{name} is left out: {error}; pip install {name}", file=sys.stderr)
+            print(f"{name} is left out: {error}; install the package {name}", file=sys.stderr)
     # The first calls compile.
     ranges = {name: cast() for name, cast in casts.items()}
     times = best(list(casts.values()), rounds)

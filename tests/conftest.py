@@ -30,7 +30,8 @@ SLOWEST = (
     "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
     "nserver_emu/server/test_determinism.py", "localization/experiments/test_trial.py", "integration/test_cluster.py",
     "localization/filters/test_compiled.py localization/filters/test_mounts.py", "localization/cli/test_calibrate.py",
-    "localization/experiments/test_compiled_trial.py", "benchmarks/test_batch.py",
+    "localization/experiments/test_compiled_trial.py", "nserver_emu/simulation/test_compiled_echoes.py",
+    "nserver_emu/simulation/test_batch.py",
     "docs/test_calibration_and_maps_pages.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
 )  # fmt: skip
 """Files that a worker begins with, the slowest first: begun last, they would run when all others are done. Files of one

@@ -216,7 +216,7 @@ class ModelTable(Table):
     """A [[model]]: what differs from the model it derives from."""
 
     name: Annotated[str, Meta(pattern=r"^[^\sA-Z]([^A-Z]*[^\sA-Z])?$", title="a name in small letters",
-                              description="name of the model")]
+                              description="a name in small letters, which selects the model")]
     like: Annotated[Text, Meta(description="model it derives from; default: the existing one of its name")] = ""
     bumpers: Annotated[int, Meta(ge=1, le=MAX_BUMPERS, description="bumpers around the body")] | UnsetType = UNSET
     compass: Annotated[bool, Meta(description="true for a robot with a compass")] | UnsetType = UNSET

@@ -58,6 +58,9 @@ _SCALE, _TURN_SCALE, _DRIFT = (int(parameter) for parameter in OdometryParameter
 class OdometryNoise:
     """Variance of a true step about the reported one: a random walk, so variances grow with the distance.
 
+    The simulation's `MotionNoise` (nserver_emu/simulation/noise.py) has the same terms: translation_std^2 is its
+    alpha3, rotation_std^2 its alpha1, drift_std^2 its alpha2; its alpha4 is not modelled.
+
     Attributes
     ----------
     translation_std

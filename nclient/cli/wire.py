@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     decode.add_argument(
         "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
     )
-    decode.add_argument("--call", help="decode as the reply to this call")
+    decode.add_argument("--call", metavar="CALL", help="decode as the reply to this call")
     decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
     _add_verb(verbs, "dump", getdoc(_dump) or "")

@@ -12,16 +12,22 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
 `ConnectionHandler.send` passes it to the socket.
 
-Fair scheduling: a connection processes at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests per
-event-loop turn. Turns are bounded by cost, and shared by the processor time that each connection used:
+Rule: a connection works in turns of at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests. Its port
+is not read while requests are left over, nor while the client does not read its replies, so that memory stays bounded.
 
-    bytes from a port -> may_run_now()?  yes -> the request is answered at once
-                                         no  -> submit() -> a later turn of the event loop, in order of virtual time
+Guarantee: an exception while bytes are received or a reply is prepared or made closes that connection only.
 
-While the event loop is idle nothing is queued. Otherwise start-time fair queueing decides
-(`FairScheduler`), so that the delay a client sees does not depend on how many requests others send, nor on what they
-cost; only a single request is indivisible. While requests are left over, or the client does not read its replies, its
-port is not read, so that memory stays bounded. An exception in a session closes that connection only.
+Limit: a request is indivisible except for its preparation (`ServerState.prepare_reply`), which is spread over turns.
+
+Which connection works when (`FairScheduler`, which sees no bytes):
+
+    work arrives -> may_run_now()?  yes -> it is done at once, then charge()
+                                    no  -> submit() -> run_turn() in a later turn of the event loop
+
+A turn of the event loop works for at most `TURN_BUDGET_S`. While that is not used up and nothing is queued, work is
+done as soon as it arrives; all else is queued and ordered by start-time fair queueing, with processor time as cost. So
+the delay that a client sees does not depend on how many requests others send, nor on what they cost; only one call of
+`run_turn` is indivisible.
 
 References
 ----------
@@ -36,6 +42,7 @@ import socket
 import time
 import weakref
 from abc import ABC, abstractmethod
+from enum import Enum, auto
 from heapq import heappop, heappush
 from itertools import count
 from math import inf
@@ -52,31 +59,52 @@ from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandl
 
 log = logging.getLogger(__name__)
 
-# Time that all connections together may use in one turn of the event loop. Between two turns the loop polls its
-# sockets, which takes some 15 us: 5 % of this.
+# Time that all jobs together may use in one turn of the event loop. Between two turns the loop polls its sockets, which
+# takes some 15 us: 5 % of this.
 TURN_BUDGET_S: Final = 0.0003
+# Seconds of unused rate that an idle client accumulates.
+BURST_S: Final = 0.1
+# Bytes read from a port at once.
+READ_SIZE: Final = 4096
+# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
+# least that a turn can do: requests differ in cost by a factor of a hundred.
+MAX_BYTES_PER_TURN: Final = 512
+MAX_REQUESTS_PER_TURN: Final = 1
+# Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
+# unlimited speed there is one in each turn. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some 2 ms.
+MAX_PREPARING_STEPS: Final = 16
+
+# Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
+CONNECT_WAIT_S: Final = 1.0
+# Socket option that acknowledges received bytes at once; only Linux has it.
+_QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
+_numbers = count(1)
+INTERNAL_ERROR: Final = "%s: internal error; connection closed"
 
 
 class Job(Protocol):
-    """A connection, or anything else that shares the event loop."""
+    """A connection, or anything else that shares the event loop. All attributes begin with False or 0."""
 
     # True while it waits in the queue; set to False to withdraw it.
     is_queued: bool
-    # Processor time that it had used in virtual time when it was last served.
+    # Virtual time at which its last service ended; its next start tag is not before this.
     finish_tag_s: float
-    # Processor time that its work has taken.
+    # Processor time that its work has taken so far.
     cpu_s: float
 
     def run_turn(self) -> None:
-        """Do the work of one turn; submit itself again if some is left."""
+        """Do the work of one turn, and submit the job again if some is left.
+
+        An exception is logged by the event loop. It delays the other queued jobs to the next turn and loses none.
+        """
 
 
 class FairScheduler:
     """Start-time fair queueing of jobs by processor time.
 
-    A job gets a start tag, the later of the virtual time and the end of its own last service. The job with the
-    earliest tag runs, its tag becomes the virtual time, and what it costs moves its own next tag. So a job that rested
-    is next in line, and those with a backlog share equally, whatever their requests cost.
+    A job gets a start tag, the later of the virtual time and its finish tag. The job with the earliest start tag runs:
+    its tag becomes the virtual time, and its finish tag is that plus what the work cost. So a job that rested is next
+    in line, and jobs with a backlog share equally, whatever their requests cost.
 
     Attributes
     ----------
@@ -87,11 +115,14 @@ class FairScheduler:
     def __init__(self) -> None:
         self.turns = 0
         self.served = 0
+        # Start tag of the job that runs or ran last.
         self._virtual_s = 0.0
         # Queued jobs by start tag. Of equal ones the job that rested longest is first, then the one that came first.
         self._queue: list[tuple[float, float, int, Job]] = []
+        # Number of jobs queued so far, the last criterion of that order.
         self._number = 0
-        # Jobs submitted while a turn runs: they wait for the next one, since the loop must poll its sockets first.
+        # Jobs submitted since the last turn began: they wait for the next one, since the loop must poll its sockets
+        # first.
         self._submitted: list[Job] = []
         self._is_turn_scheduled = False
         # Processor time left in this turn for work that is done at once, and when such work last ended.
@@ -102,7 +133,15 @@ class FairScheduler:
         return len(self._queue)
 
     def may_run_now(self, now_s: float) -> bool:
-        """Return True if work that has just arrived may be done at once, and `charge` it; otherwise `submit` it."""
+        """Return True if work that has just arrived may be done at once.
+
+        The caller must then do it and `charge` what it took; otherwise it must `submit` the job.
+
+        Parameters
+        ----------
+        now_s
+            The event loop's time.
+        """
         if self._is_turn_scheduled:
             return False
         if now_s >= self._worked_s + TURN_BUDGET_S:
@@ -117,7 +156,7 @@ class FairScheduler:
         self._worked_s += taken_s
 
     def submit(self, job: Job) -> None:
-        """Queue a job for a later turn of the event loop."""
+        """Queue a job for a later turn of the event loop. It must not be queued already (`Job.is_queued`)."""
         job.is_queued = True
         self._submitted.append(job)
         if not self._is_turn_scheduled:
@@ -125,12 +164,12 @@ class FairScheduler:
 
     def _run_turn(self) -> None:
         """Run queued jobs until the time of this turn is used up, each at most once."""
-        # 1. What was submitted since the last turn joins the queue.
+        # 1. Jobs submitted since the last turn join the queue.
         for job in self._submitted:
             self._number += 1
             heappush(self._queue, (max(self._virtual_s, job.finish_tag_s), job.finish_tag_s, self._number, job))
         self._submitted.clear()
-        # 2. Jobs by their tags, until one that has run and has more to do is before all others.
+        # 2. Run jobs by their tags, until one that has run and has more to do is before all others.
         self.turns += 1
         loop = asyncio.get_running_loop()
         now_s = loop.time()
@@ -144,7 +183,7 @@ class FairScheduler:
                     if job.is_queued:
                         first_again_s = min(first_again_s, job.finish_tag_s)
         finally:
-            # 3. The rest follows in the next turn, also after an error, which the event loop logs.
+            # 3. The rest follows in the next turn, also after an exception, which the event loop logs.
             self._is_turn_scheduled = False
             self._left_s, self._worked_s = end_s - now_s, now_s
             if self._queue or self._submitted:
@@ -171,20 +210,26 @@ class FairScheduler:
         job.finish_tag_s = self._virtual_s + taken_s
 
 
-# Seconds of unused rate that an idle client accumulates.
-BURST_S: Final = 0.1
-
-
 class TokenBucket:
     """A limit on requests per second.
 
-    The bucket holds up to BURST_S of the rate, at least one turn. It may become negative by the last turn, which is
+    The bucket holds up to `BURST_S` of the rate, at least one turn. It may become negative by the last turn, which is
     then waited for before the next. Times are seconds of a monotonic clock.
+
+    Parameters
+    ----------
+    rate
+        Requests per second, above 0.
+    turn
+        Maximum number of requests in one turn.
+    now_s
+        Current time.
     """
 
     def __init__(self, rate: float, turn: int, now_s: float) -> None:
         self._rate = rate
         self._capacity = max(rate * BURST_S, turn)
+        # Requests that may be answered now, when the bucket was last updated.
         self._tokens = self._capacity
         self._updated_s = now_s
 
@@ -196,23 +241,6 @@ class TokenBucket:
     def wait_s(self, now_s: float) -> float:
         """Return the seconds until a request may be answered, 0 for now."""
         return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
-
-
-# Bytes read from a port at once.
-READ_SIZE: Final = 4096
-# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
-# least that a turn can do: requests differ in cost by a factor of a hundred.
-MAX_BYTES_PER_TURN: Final = 512
-MAX_REQUESTS_PER_TURN: Final = 1
-# Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
-# unlimited speed there is one in each turn. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some 2 ms.
-MAX_PREPARING_STEPS: Final = 16
-
-# Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
-CONNECT_WAIT_S: Final = 1.0
-# Socket option that acknowledges received bytes at once; only Linux has it.
-_QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
-_numbers = count(1)
 
 
 class Server(Protocol):
@@ -237,17 +265,56 @@ class Server(Protocol):
         """The simulation with the server's settings."""
 
 
+class ConnectionState(Enum):
+    """State of a connection's port. `ConnectionHandler` has the transitions."""
+
+    # The port is open without a peer: a pseudo-terminal that no host has opened.
+    DISCONNECTED = auto()
+    # A peer is there, and its requests are answered.
+    OPEN = auto()
+    # The peer does not read its replies, so that no request is answered (back-pressure).
+    PAUSED = auto()
+    # The port is closed for good.
+    CLOSED = auto()
+
+
+# Read for every request, where the lookup in the class would cost more than the comparison.
+DISCONNECTED: Final = ConnectionState.DISCONNECTED
+OPEN: Final = ConnectionState.OPEN
+PAUSED: Final = ConnectionState.PAUSED
+CLOSED: Final = ConnectionState.CLOSED
+
+
 class ConnectionHandler(ABC):
     """A connection to the server or to a robot's own line, whatever its transport.
 
     Data flow, where a channel is a serial line's rate or injected faults (none: no delay):
 
-        port -> data_received -> channel -> process -> session -> send -> channel -> _write -> port
+        port -> data_received -> channel -> _process -> session -> send -> channel -> _write -> port
 
-    Subclasses implement the transport: `TcpConnection`, `PtyConnection` (serial_lines.py).
+    Transitions of `state`. It begins with OPEN, for a pseudo-terminal with DISCONNECTED. CLOSED follows any of them:
+
+                       a host opens the link       replies are not read
+        DISCONNECTED  ----------------------> OPEN --------------------> PAUSED        (any) ----> CLOSED
+                      <----------------------      <--------------------
+                          the host leaves            most of them are read
+
+    What is legal in each state. Work is left if the session can answer a request, or its queue can take bytes of the
+    backlog. It can do neither once it is `closing` (after DISCONNECT or an invalid frame); the port is then closed as
+    soon as the replies are written.
+
+        state          work left   next turn                                  port is read
+        OPEN           no          none                                       unless channel or queue is full
+        OPEN           yes         queued, or the timer of the rate limit     no
+        PAUSED         any         none new; one that is due answers nothing  no
+        DISCONNECTED   no          none                                       no; `tick` looks for a host
+        CLOSED         no          none                                       no
+
+    Subclasses implement the transport: `TcpConnection`, `PtyConnection` (serial_lines.py), `ViewerClient`
+    (viewer/clients.py).
     """
 
-    # Created by the subclass as soon as the port is open.
+    # Created by the subclass as soon as the port is open, and anew for each host of a pseudo-terminal.
     session: BaseSession[Any]
     # Name of this line in a fault plan.
     line: str
@@ -260,56 +327,104 @@ class ConnectionHandler(ABC):
 
     def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
         self._server = server
+        self._loop = asyncio.get_running_loop()
+        self._recorder: ConnectionRecorder = NULL_RECORDER
+
+        # -- The peer --
+        self.state: ConnectionState = OPEN
         # Name of this connection where its address must not be named.
         self.number = next(_numbers)
-        self._loop = asyncio.get_running_loop()
-        # Delay and faults between port and session; None passes bytes at once.
-        self._channel = channel
-        self._has_faults = False
-        # True while `_deliver` runs: replies to delivered bytes must not recurse into it.
-        self._is_delivering = False
-        self._recorder: ConnectionRecorder = NULL_RECORDER
-        # Rate limit; None is unlimited.
-        self._rate_limit: TokenBucket | None = None
-        # False while a port is open without a peer (a pseudo-terminal that no host has opened).
-        self.is_connected = True
         # The identity last reported by the session.
         self._identity: ClientIdentity | None = None
         # True until the first request: until then the connection may turn out to continue a closed one.
         self._is_pending = True
-        # True while the peer does not read its replies.
-        self.is_write_paused = False
-        # True if the channel was full when last checked, so that reading is suspended.
-        self._is_channel_full = False
-        # Bytes received and not yet given to the session.
-        self._receive_backlog = b""
-        # The next turn: in the scheduler's queue, or when the rate limit allows it.
+
+        # -- The next turn (`Job`): queued, or when the rate limit allows it, never both --
         self.is_queued = False
         self.finish_tag_s = self.cpu_s = 0.0
-        self._turn: asyncio.TimerHandle | None = None
-        # Steps of simulated time spent on the preparation of the next reply, and the time of the last.
-        self._preparing = 0
+        self._rate_limit_timer: asyncio.TimerHandle | None = None
+        # Requests per second; None is unlimited.
+        self._rate_limit: TokenBucket | None = None
+
+        # -- Its work --
+        # Bytes received and not yet given to the session.
+        self._receive_backlog = b""
+        # Steps of simulated time in which the next reply was prepared, and the time of the last, -1 before the first.
+        self._preparing_steps = 0
         self._prepared_ps = -1
-        # Fires when bytes in the channel are due.
+
+        # -- The channel between port and session --
+        # None passes bytes at once.
+        self._channel = channel
+        # True once the fault injector is part of it.
+        self._has_faults = False
+        # True if it was full when last checked, so that reading is suspended.
+        self._is_channel_full = False
+        # Fires when bytes in it are due.
         self._delivery_timer: asyncio.TimerHandle | None = None
-        # Time at which the bytes being processed left the channel; None without one.
+        # True while `_deliver` runs: replies to delivered bytes must not recurse into it.
+        self._is_delivering = False
+        # Time at which the bytes being processed left it; None without one.
         self._delivered_at_s: float | None = None
 
-    # Input.
+    @property
+    def is_connected(self) -> bool:
+        """True while a peer is there, whether it reads its replies or not."""
+        return self.state is OPEN or self.state is PAUSED
+
+    # Entry points: port, scheduler and daemon call them. An exception of the session never leaves them.
 
     def data_received(self, data: bytes) -> None:
-        """Accept bytes from the port."""
+        """Accept bytes from the port, any number of them.
+
+        The transport calls it while the connection is OPEN or PAUSED. `_set_reading(False)` asks it to stop; bytes that
+        it passes on nevertheless wait in the backlog.
+        """
         if self._server.faults.plan.rules:
             self._install_faults()
         if self._channel is None:
-            self.process(data)
+            self._process(data)
             return
         self._channel.to_robot(data, self._loop.time())
         self._deliver()
 
-    def process(self, data: bytes) -> None:
-        """Give bytes to the session and send the replies, now or in a later turn."""
-        is_turn_pending = self.is_queued or self._turn is not None
+    def run_turn(self) -> None:
+        """Do the work of one turn. Only the scheduler calls it, once for each `submit`."""
+        self._take_turn(b"")
+
+    def tick(self) -> None:
+        """Send the deferred reply if it is complete. The daemon calls it whenever simulated time has passed."""
+        session = self.session
+        if not (session.waiting or session.unfinished):
+            return
+        try:
+            replies = session.tick()
+        except Exception:
+            log.exception(INTERNAL_ERROR, session.name)
+            self._abort()
+            return
+        self._send_replies(replies, by_time=True)
+        self._schedule()
+
+    def send(self, data: bytes) -> None:
+        """Send bytes to the peer, through the channel if there is one.
+
+        It never waits: what the peer does not read at once is buffered by the transport, which then pauses the
+        connection, or lost on a line without flow control.
+        """
+        if self._server.faults.plan.rules:
+            self._install_faults()
+        if self._channel is None:
+            self._write(data)
+            return
+        self._channel.to_host(data, self._loop.time() if self._delivered_at_s is None else self._delivered_at_s)
+        self._deliver()
+
+    # A turn.
+
+    def _process(self, data: bytes) -> None:
+        """Take a turn with bytes that have just come through the channel, now or later."""
+        is_turn_pending = self.is_queued or self._rate_limit_timer is not None
         if not is_turn_pending and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
             start_s = time.thread_time()
             self._take_turn(data)
@@ -320,25 +435,36 @@ class ConnectionHandler(ABC):
             self._receive_backlog += data
             self._schedule()
 
-    def run_turn(self) -> None:
-        """Do the work of one turn, for the scheduler."""
-        self._take_turn(b"")
-
     def _take_turn(self, data: bytes) -> None:
-        """Give at most MAX_BYTES_PER_TURN bytes to the session, and answer at most MAX_REQUESTS_PER_TURN requests."""
+        """Process at most MAX_BYTES_PER_TURN bytes and MAX_REQUESTS_PER_TURN requests; `data` are the latest bytes."""
+        session, limit = self.session, self._rate_limit
+        # 1. Take the bytes of this turn, the oldest ones; the rest waits in the backlog.
         if self._receive_backlog or len(data) > MAX_BYTES_PER_TURN:
             self._receive_backlog += data
             data = self._next_chunk()
-        if data:
-            self._recorder.to_robot(data)
-            self.session.receive(data)
-        self._process_requests()
-
-    def tick(self) -> None:
-        """Send a deferred reply if simulated time has completed it."""
-        if self.session.waiting or self.session.unfinished:
-            self._run_session(by_time=True)
-            self._schedule()
+        try:
+            # 2. The session finds the requests in them.
+            if data:
+                self._recorder.to_robot(data)
+                session.receive(data)
+            # 3. It answers the next one, unless the peer does not read, its rate limit is used up, or the reply needs
+            #    more preparation.
+            may_answer = (
+                self.state is OPEN and (limit is None or not self._rate_limit_wait_s()) and self._prepare_next_reply()
+            )
+            has_request, answered_before = session.ready, session.answered
+            replies = session.process_requests(MAX_REQUESTS_PER_TURN) if may_answer else b""
+        except Exception:
+            log.exception(INTERNAL_ERROR, session.name)
+            self._abort()
+            return
+        # 4. Send the reply.
+        if may_answer:
+            self._send_replies(replies, has_request)
+            if limit is not None:
+                limit.consume(session.answered - answered_before, self._loop.time())
+        # 5. Schedule the next turn if work is left; otherwise read from the port.
+        self._schedule()
 
     def _next_chunk(self) -> bytes:
         """Take from the backlog what may be processed in this turn."""
@@ -356,45 +482,38 @@ class ConnectionHandler(ABC):
         session = self.session
         return not (session.ready or session.is_queue_full or session.closing)
 
-    # Requests and replies.
+    def _prepare_next_reply(self) -> bool:
+        """Do part of the work for the next reply; return True if it can be made now, False if later turns are needed.
 
-    def _process_requests(self) -> None:
-        """Answer the requests of this turn, unless the peer does not read or its rate limit is used up."""
-        limit = self._rate_limit
-        if not self.is_write_paused and (limit is None or not self._rate_limit_wait_s()) and self._is_prepared():
-            before = self.session.answered
-            self._run_session()
-            if limit is not None:
-                limit.consume(self.session.answered - before, self._loop.time())
-        self._schedule()
-
-    def _is_prepared(self) -> bool:
-        """Do part of the work for the next reply; return False if the rest is for later turns."""
-        server = self._server
+        Other connections get their turns in between, so time may pass and bring new work. After MAX_PREPARING_STEPS
+        the reply is made with whatever is left to do.
+        """
+        server, session = self._server, self.session
         is_simulated = self.is_scheduled and server.handler is server.emulator
-        if is_simulated and self.session.ready:
+        if is_simulated and session.ready:
             now_ps = server.emulator.simulation.time_ps
-            self._preparing += now_ps != self._prepared_ps
-            self._prepared_ps = now_ps
-            if self._preparing <= MAX_PREPARING_STEPS and not self._prepare():
+            if now_ps != self._prepared_ps:
+                self._preparing_steps += 1
+                self._prepared_ps = now_ps
+            may_prepare = self._preparing_steps <= MAX_PREPARING_STEPS
+            if may_prepare and not server.emulator.prepare_reply(session.context, session.call_to_prepare()):
                 return False
-        self._preparing, self._prepared_ps = 0, -1
+        self._preparing_steps, self._prepared_ps = 0, -1
         return True
 
-    def _prepare(self) -> bool:
-        session = self.session
-        return self._server.emulator.prepare_reply(session.context, session.call_to_prepare())
+    def _send_replies(self, replies: bytes, has_request: bool = False, by_time: bool = False) -> None:
+        """Send what the session has returned, and do what its new state requires.
 
-    def _run_session(self, by_time: bool = False) -> None:
-        """Answer requests, or a deferred one `by_time`; an exception closes this connection only."""
+        Parameters
+        ----------
+        replies
+            Encoded replies; empty if there is none, or it is deferred.
+        has_request
+            True if a request was processed.
+        by_time
+            True for a deferred reply that simulated time has completed.
+        """
         session = self.session
-        has_request = not by_time and session.ready
-        try:
-            replies = session.tick() if by_time else session.process_requests(MAX_REQUESTS_PER_TURN)
-        except Exception:
-            log.exception("%s: internal error; connection closed", session.name)
-            self._abort()
-            return
         if has_request or replies:
             self._recorder.to_host(replies, by_time)
         if replies:
@@ -406,17 +525,7 @@ class ConnectionHandler(ABC):
             if self.is_registered:
                 self._server.client_registry.register(self, self.host, self._identity)
 
-    def send(self, data: bytes) -> None:
-        """Send replies to the peer, through the channel if there is one."""
-        if self._server.faults.plan.rules:
-            self._install_faults()
-        if self._channel is None:
-            self._write(data)
-            return
-        self._channel.to_host(data, self._loop.time() if self._delivered_at_s is None else self._delivered_at_s)
-        self._deliver()
-
-    # Scheduling.
+    # The next turn.
 
     def _schedule(self) -> None:
         """Schedule the next turn if work is left, and read from the port only if none is left.
@@ -424,20 +533,18 @@ class ConnectionHandler(ABC):
         During a deferred reply (ws, zr) reading continues until the queue is full, so that a closed connection is
         noticed.
         """
-        session = self.session
-        is_ready = (session.ready or self._has_backlog) and not self.is_write_paused
-        if is_ready and self._turn is None and not self.is_queued:
+        session, is_open = self.session, self.state is OPEN
+        is_ready = is_open and (session.ready or self._has_backlog)
+        if is_ready and self._rate_limit_timer is None and not self.is_queued:
             if wait_s := self._rate_limit_wait_s():
-                self._turn = self._loop.call_later(wait_s, self._next_turn)
+                self._rate_limit_timer = self._loop.call_later(wait_s, self._on_rate_limit_timer)
             else:
                 self._server.scheduler.submit(self)
         self._is_channel_full = self._channel is not None and self._channel.full
-        self._set_reading(
-            not (is_ready or self.is_write_paused or self._is_channel_full or session.is_queue_full)
-        )
+        self._set_reading(is_open and not (is_ready or self._is_channel_full or session.is_queue_full))
 
-    def _next_turn(self) -> None:
-        self._turn = None
+    def _on_rate_limit_timer(self) -> None:
+        self._rate_limit_timer = None
         self._schedule()
 
     def _rate_limit_wait_s(self) -> float:
@@ -446,10 +553,10 @@ class ConnectionHandler(ABC):
 
     def _cancel_timers(self) -> None:
         """Cancel the next turn and deliveries that are due later."""
-        for handle in (self._turn, self._delivery_timer):
-            if handle is not None:
-                handle.cancel()
-        self._turn = self._delivery_timer = None
+        for timer in (self._rate_limit_timer, self._delivery_timer):
+            if timer is not None:
+                timer.cancel()
+        self._rate_limit_timer = self._delivery_timer = None
         self.is_queued = False
 
     # The channel: baud rate and faults.
@@ -465,14 +572,16 @@ class ConnectionHandler(ABC):
         # 1. Deliver all that is due. A reply may fill the channel, and a delivery empty it again.
         was_full, self._is_delivering = channel.full, True
         try:
-            while arrival := channel.arrived(self._loop.time()):
+            while channel is not None and (arrival := channel.arrived(self._loop.time())):
                 self._handle_arrival(arrival)
+                # Faults may have been put in front of it, or the host of a pseudo-terminal may have been disconnected.
+                channel = self._channel
         finally:
             self._is_delivering = False
         # 2. Wake up for the next piece.
         if self._delivery_timer is not None:
             self._delivery_timer.cancel()
-        due_s = channel.due_s
+        due_s = None if channel is None else channel.due_s
         self._delivery_timer = None if due_s is None else self._loop.call_at(due_s, self._deliver)
         # 3. Resume reading if it was suspended for a full channel.
         if was_full or self._is_channel_full:
@@ -484,13 +593,13 @@ class ConnectionHandler(ABC):
             self._close_port()
         elif arrival.to_robot:
             self._delivered_at_s = arrival.at_s
-            self.process(arrival.data)
+            self._process(arrival.data)
             self._delivered_at_s = None
         else:
             self._write(arrival.data)
 
     def _install_faults(self) -> None:
-        """Put the fault injector into the channel, as soon as a plan acts on this line and no frame is incomplete."""
+        """Put the fault injector into the channel as soon as a plan acts on this line and no frame is incomplete."""
         faults, line = self._server.faults, self.line
         if self._has_faults or self._is_mid_request or not faults.acts_on(line):
             return
@@ -510,11 +619,11 @@ class ConnectionHandler(ABC):
 
     @abstractmethod
     def _write(self, data: bytes) -> None:
-        """Write to the port, which buffers what it cannot take at once."""
+        """Write to the port without waiting: buffer or drop what it cannot take at once."""
 
     @abstractmethod
     def _set_reading(self, on: bool) -> None:
-        """Read from the port, or suspend reading."""
+        """Read from the port, or suspend reading; called after each turn, mostly without a change."""
 
     @abstractmethod
     def _close_port(self) -> None:
@@ -537,20 +646,27 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
     def __init__(self, server: Server) -> None:
         super().__init__(server)
+        limits, now_s = server.admission.limits, self._loop.time()
+        # Executes the calls of the session.
         self._handler: CommandHandler = server.handler
+        self._rate_limit = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
+
+        # -- The socket --
         # Receive buffer, reused: asyncio fills it in place.
         self._buffer = bytearray(READ_SIZE)
         self._is_reading = True
-        limits, now_s = server.admission.limits, self._loop.time()
-        self._rate_limit = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
+
+        # -- Timeouts --
+        self.opened_s = now_s
         self._timeouts = ConnectionTimeouts(limits.idle, limits.stall, now_s)
+        # Fires when they are to be checked; None without any.
         self._timeout_check: asyncio.TimerHandle | None = None
-        self._is_closed_by_timeout = False
+        # True once the reason of the end is logged.
+        self._is_end_logged = False
         # Fires if a CONNECT of a 64-bit client remains incomplete.
         self._connect_timer: asyncio.TimerHandle | None = None
-        self.opened_s = now_s
 
-    # asyncio.BufferedProtocol.
+    # asyncio.BufferedProtocol: asyncio calls these, `connection_made` first and `connection_lost` last.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Set socket options, then start the session."""
@@ -570,6 +686,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Release everything the session owns: timers, axes, registry entry."""
         session, registry = self.session, self._server.client_registry
         # 1. No more turns and timers.
+        self.state = CLOSED
         self._cancel_timers()
         for timer in (self._timeout_check, self._connect_timer):
             if timer is not None:
@@ -581,7 +698,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
             registry.remove(self, disconnected=True)
         else:
             self._loop.call_later(CLOSED_RETENTION_S, registry.remove, self)
-        if not self._is_closed_by_timeout and (exc or session.unfinished):
+        if not self._is_end_logged and (exc or session.unfinished):
             log.warning("%s: connection lost%s%s", session.name, " in mid-request" if session.unfinished else "",
                         f": {exc}" if exc else "", extra=session.log_extra)
         # 3. Axes that this connection set in motion stop.
@@ -594,7 +711,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.info("%s: closed after %d refused requests", session.name, session.refused, extra=session.log_extra)
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """Return the receive buffer, which is reused for every read."""
+        """Return the receive buffer, which is reused for every read: its bytes are valid in `buffer_updated` only."""
         del sizehint
         return self._buffer
 
@@ -625,13 +742,13 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         self._schedule()
 
     def pause_writing(self) -> None:
-        """Stop answering requests: the client does not read its replies."""
-        self.is_write_paused = True
+        """Stop answering requests: the client leaves more than --limit-write-queue bytes of replies unread."""
+        self.state = PAUSED
         self._schedule()
 
     def resume_writing(self) -> None:
-        """Continue to answer requests."""
-        self.is_write_paused = False
+        """Continue to answer requests: the client has read most of them."""
+        self.state = OPEN
         self._schedule()
 
     # ConnectionHandler.
@@ -687,7 +804,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         if is_waiting:
             # A client that waits for a deferred reply is not idle.
             self._timeouts.active_s = now_s
-        is_stalled = self.is_write_paused or (bool(self.session.unfinished) and not is_waiting)
+        is_stalled = self.state is PAUSED or (bool(self.session.unfinished) and not is_waiting)
         reason = self._timeouts.timeout_reason(now_s, self.session.answered, is_stalled)
         if not reason:
             self._schedule_timeout_check()
@@ -702,5 +819,5 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     def close_because(self, reason: str) -> None:
         """Close the connection now and log the reason."""
         log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
-        self._is_closed_by_timeout = True
+        self._is_end_logged = True
         self._abort()

@@ -24,7 +24,7 @@ from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Language, LineLanguage
 from nclient.protocol.types import Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
-from nserver_emu.server.connection import READ_SIZE, ConnectionHandler, TcpConnection
+from nserver_emu.server.connection import CLOSED, DISCONNECTED, OPEN, READ_SIZE, ConnectionHandler, TcpConnection
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.link import RateLimitedChannel, SerialChannel
 from nserver_emu.server.serial_session import SerialSession
@@ -92,7 +92,8 @@ class PtyConnection(ConnectionHandler):
         self.lost = 0
         self._handler = daemon.emulator
         self._new_channel = new_channel
-        self.is_connected = self._is_reading = False
+        self.state = DISCONNECTED
+        self._is_reading = False
         # The rest of a reply that the terminal has taken in part.
         self._write_buffer = b""
         self._next_link_check_s = 0.0
@@ -105,7 +106,7 @@ class PtyConnection(ConnectionHandler):
             self._next_link_check_s = self._loop.time() + LINK_CHECK_INTERVAL_S
             if self.terminal.restore_link():
                 log.warning("%s: the symbolic link was removed; created again", self.session.name)
-        if self.is_connected:
+        if self.state is OPEN:
             super().tick()
         elif not self.terminal.is_closed:
             self._on_opened()
@@ -113,6 +114,7 @@ class PtyConnection(ConnectionHandler):
     def close(self) -> None:
         """Close the terminal and remove the connection from the server."""
         self._on_closed()
+        self.state = CLOSED
         self.terminal.close()
         self._server.connections.discard(self)
 
@@ -126,7 +128,7 @@ class PtyConnection(ConnectionHandler):
 
     def _on_opened(self) -> None:
         """Connect the host that has opened the link."""
-        self.is_connected = True
+        self.state = OPEN
         self._recorder = self._server.recorder.open(self.session.name, SERIAL, self.robot.model, self.robot.robot_id)
         log.info("%s: opened", self.session.name)
         self._set_reading(True)
@@ -140,14 +142,14 @@ class PtyConnection(ConnectionHandler):
             self.data_received(data)
 
     def _on_closed(self) -> None:
-        """Disconnect the host: its motions stop, and replies in its channel are dropped."""
+        """Disconnect the host: its motions stop; requests that wait and replies in its channel are dropped."""
         self._cancel_timers()
         self._set_reading(False)
         self._loop.remove_writer(self.terminal.fd)
-        self._write_buffer = b""
-        if self.is_connected:
+        self._write_buffer = self._receive_backlog = b""
+        if self.state is OPEN:
             log.info("%s: closed after %d refused requests", self.session.name, self.session.refused)
-        self.is_connected = False
+        self.state = DISCONNECTED
         self._handler.on_disconnect(self.session.context)
         self._recorder.close()
         self._recorder = NULL_RECORDER
@@ -172,7 +174,7 @@ class PtyConnection(ConnectionHandler):
             self._loop.remove_writer(self.terminal.fd)
 
     def _set_reading(self, on: bool) -> None:
-        if on == self._is_reading or (on and not self.is_connected):
+        if on == self._is_reading:
             return
         self._is_reading = on
         if on:

@@ -144,14 +144,15 @@ class Allowed:
     frame: int = _LIMITS.frame
 
 
-# Axis ownership: the connection that last commanded an axis owns it while it moves. When the connection closes, its
-# axes stop; axes that other connections set in motion continue.
-
 ALL_AXES: Final = (0, 1, 2)
 
 
 class AxisOwnership:
-    """The owner of each moving axis and arm, by robot."""
+    """The connection that last commanded each axis, and each arm, by robot: when it closes, they stop.
+
+    Axes that other connections set in motion continue. `on_disconnect` is called by `ServerState.on_disconnect`, and
+    that by `TcpConnection.connection_lost`.
+    """
 
     def __init__(self) -> None:
         # Owner of each of the three axes; None for an axis without commands.

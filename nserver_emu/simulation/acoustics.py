@@ -53,22 +53,20 @@ class ReflectorMap:
         boxes = _boxes(columns)
         if self.surfaces is None:
             return Reflectors(columns, boxes, np.empty(0, dtype=np.int64), none, none, np.empty((4, 0)))
-        breaks, levels, posts = [none], [none], [np.empty((4, 0))]
-        for x1, y1, x2, y2 in walls.tolist():
-            along = complex(x2 - x1, y2 - y1)
-            # Surfaces are found by the bits of a wall: the second end by its vector from the first.
-            surface = self.surfaces.of(np.array([x1, y1, x1 + along.real, y1 + along.imag]))
-            unit = along / abs(along) if along else 0j
-            shift = surface.level_in(surface.posts_in)
-            places = surface.posts_in
-            posts.append(np.array([
-                x1 + unit.real * places, y1 + unit.imag * places, -unit.imag * shift, unit.real * shift,
-            ]))
-            breaks.append(surface.breaks_in)
-            levels.append(surface.levels_in)
-        begins = np.cumsum([0, *map(len, breaks[1:])])
-        surfaces = np.concatenate(breaks), np.concatenate(levels), np.concatenate(posts, axis=1)
-        return Reflectors(columns, boxes, begins, *surfaces)
+        # Surfaces are found by the bits of a wall: the second end by its vector from the first.
+        first, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
+        surfaces = self.surfaces.of_all(np.hstack([first, first + along]))
+        begins = np.cumsum([0, *(len(surface.breaks_in) for surface in surfaces)])
+        breaks = np.concatenate([none, *(surface.breaks_in for surface in surfaces)])
+        levels = np.concatenate([none, *(surface.levels_in for surface in surfaces)])
+        # Posts stand on their level, which is to the left of the wall.
+        wall = np.repeat(np.arange(len(walls)), [len(surface.posts_in) for surface in surfaces])
+        places = np.concatenate([none, *(surface.posts_in for surface in surfaces)])
+        shifts = np.concatenate([none, *(surface.post_levels_in for surface in surfaces)])
+        unit = along / np.maximum(np.hypot(*along.T), np.finfo(float).tiny)[:, None]
+        x, y, unit_x, unit_y = first[wall, 0], first[wall, 1], unit[wall, 0], unit[wall, 1]
+        posts = np.stack([x + unit_x * places, y + unit_y * places, -unit_y * shifts, unit_x * shifts])
+        return Reflectors(columns, boxes, begins, breaks, levels, posts)
 
     @cached_property
     def lists(self) -> Reflectors:

@@ -2,6 +2,7 @@
 
 Systematic errors only; the random ones (alpha1 to alpha4) are in noise.py. Both change the true motion; the encoders
 count the commanded one. Slip is the opposite: the encoders count it, and the robot does not move.
+`SimulatedRobot._follow` (robot.py) applies both.
 
     first, second = commanded motion of two axes   translation and steering; right and left wheel
     path_segment(scale_1 first, scale_2 second)    the true motion of the wheels

@@ -297,7 +297,7 @@ class SonarRing:
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4); earlier pings still meet the previous ones."""
-        self._reflectors = ReflectorMap(walls, self.model.surfaces(self._surface_seed))
+        self._reflectors = ReflectorMap(walls, self._reflectors.surfaces)
 
     def set_model(self, model: SonarModel) -> None:
         """Replace the sonar model; earlier pings are measured with the previous one, and disturb no later ping."""

@@ -42,16 +42,18 @@ class WallSurface(NamedTuple):
         Inches by which it stands out to the left of the wall (k,).
     posts_in
         Distances of the posts from the first end (p,).
+    post_levels_in
+        The levels at the posts (p,).
     """
 
     breaks_in: FloatArray
     levels_in: FloatArray
     posts_in: FloatArray
+    post_levels_in: FloatArray
 
     def level_in(self, along_in: FloatArray) -> FloatArray:
         """Return the levels at distances from the first end, inches."""
-        levels: FloatArray = self.levels_in[np.searchsorted(self.breaks_in, along_in, side="right") - 1]
-        return levels
+        return _level_in(self.breaks_in, self.levels_in, along_in)
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,24 @@ class Surfaces:
             self._found[key] = self._draw(float(np.hypot(*(wall[2:] - wall[:2]))), crc32(key))
         return self._found[key]
 
+    def of_all(self, walls: FloatArray) -> list[WallSurface]:
+        """Return the surfaces of walls (m, 4), and forget those of others: obstacles come and go without end."""
+        surfaces = {wall.tobytes(): self.of(wall) for wall in walls}
+        self._found.clear()
+        self._found.update(surfaces)
+        return [surfaces[wall.tobytes()] for wall in walls]
+
     def _draw(self, length_in: float, wall: int) -> WallSurface:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SURFACE_STREAM, wall, 0)))
         breaks_in = np.append(0.0, _poisson_points(length_in, self.length_in, rng))
         levels_in = self.std_in * rng.standard_normal(len(breaks_in))
         posts_in = _poisson_points(length_in, self.post_spacing_in, rng) if self.post_spacing_in else np.empty(0)
-        return WallSurface(breaks_in, levels_in, posts_in)
+        return WallSurface(breaks_in, levels_in, posts_in, _level_in(breaks_in, levels_in, posts_in))
+
+
+def _level_in(breaks_in: FloatArray, levels_in: FloatArray, along_in: FloatArray) -> FloatArray:
+    levels: FloatArray = levels_in[np.searchsorted(breaks_in, along_in, side="right") - 1]
+    return levels
 
 
 def _poisson_points(length_in: float, spacing_in: float, rng: np.random.Generator) -> FloatArray:

@@ -24,7 +24,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
 from nclient.protocol.wire_state import tcp_wire_state
 from nclient.recording.recorder import TCP
-from nserver_emu.server.connection import ConnectionHandler
+from nserver_emu.server.connection import CLOSED, ConnectionHandler
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
@@ -79,9 +79,10 @@ class ViewerClient(ConnectionHandler):
 
     def close(self) -> None:
         """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
-        if self not in self._server.connections:
+        if self.state is CLOSED:
             return
         # 1. No more turns; what this connection moves is stopped by on_disconnect.
+        self.state = CLOSED
         self._cancel_timers()
         self._server.connections.discard(self)
         self._handler.on_disconnect(self.session.context)

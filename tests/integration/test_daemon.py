@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import InvalidFrame, TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
+from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, PAUSED, TcpConnection
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import Allowed, SimulationClock
@@ -163,14 +163,14 @@ async def test_slow_reader_delays_no_other_and_loses_nothing() -> None:
         slow.transport.pause_reading()
         count = 60_000
         slow.writer.write(GS * count)
-        while not any(connection.is_write_paused for connection in server.daemon.connections):
+        while not any(connection.state is PAUSED for connection in server.daemon.connections):
             assert (await other.ask("gs")).kind == "state"
         for _ in range(20):
             assert (await other.ask("gs")).kind == "state"
         slow.transport.resume_reading()
         for _ in range(count):
             assert (await slow.reply("gs")).kind == "state"
-        assert not any(connection.is_write_paused for connection in server.daemon.connections)
+        assert not any(connection.state is PAUSED for connection in server.daemon.connections)
 
 
 async def test_client_lost_during_wait_stops_its_robot() -> None:
@@ -222,7 +222,11 @@ async def test_incomplete_request_and_reset_log_one_line_each(caplog: pytest.Log
     assert len([message for message in messages if "connection lost:" in message]) == 1
 
 
-async def test_internal_error_closes_one_connection(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("is_scheduled", [False, True])
+@pytest.mark.parametrize("stage", ["receive", "call_to_prepare", "_answer"])
+async def test_internal_error_closes_one_connection(
+    stage: str, is_scheduled: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async with running_server() as server:
         clients = [await server.connect_client(), await server.connect_client()]
         faulty = next(iter(server.daemon.connections))
@@ -230,7 +234,8 @@ async def test_internal_error_closes_one_connection(caplog: pytest.LogCaptureFix
         def broken(*_: object) -> Reply:
             raise RuntimeError("broken")
 
-        faulty.session._answer = broken
+        monkeypatch.setattr(server.daemon.scheduler, "may_run_now", lambda _: not is_scheduled)
+        monkeypatch.setattr(faulty.session, stage, broken)
         received = []
         for client in clients:
             client.writer.write(GS)

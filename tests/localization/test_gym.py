@@ -17,12 +17,12 @@ from nserver_emu.gym import WallFollower, run_episode
 @pytest.mark.long
 def test_reward_is_the_information_that_was_gained() -> None:
     env = localize()
-    env.reset(seed=2)
+    observation, _ = env.reset(seed=2)
     task = env.runner.task
     assert isinstance(task, Localize)
     before = task._estimates[0].belief.cov[:3, :3]
     total, terminated = 0.0, False
-    policy, observation = WallFollower(), env.observation_space.sample()
+    policy = WallFollower()
     for _ in range(300):
         observation, reward, terminated, _, info = env.step(policy(observation))
         total += reward

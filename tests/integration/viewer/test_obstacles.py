@@ -103,6 +103,8 @@ def test_viewers_undo_their_own_steps(browser: Browser) -> None:
         one.wait(f"{words}.includes('cannot undo “add obstacle”: ')")
         assert one.value(corners) == "[[70,40],[40,41]]"
         one.page.click("#clear-world")
+        # The step ends when the page has read the world that it made.
+        one.wait("nserver.history.undoTitle === 'remove all'")
         two.wait(f"{OBSTACLES}.length === 0")
         add(two, "20,60 30,60 30,70", 1)
         undo(one)

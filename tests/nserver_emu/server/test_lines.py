@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import AddressError, ConnectionLost
-from nclient.faults.plan import GREETING, Cut, HangUp, Plan, Rule, When
+from nclient.faults.plan import GREETING, Cut, Delay, HangUp, Plan, Rule, When
 from nclient.protocol import codec
 from nclient.protocol.client_state import read_handshake
 from nclient.protocol.commands import Call
@@ -302,12 +302,29 @@ async def test_an_internal_error_hangs_up_and_the_line_recovers(
             raise RuntimeError("a fault")
 
         server.line.session._answer = broken
-        host.send(GS)
+        # More than the bytes of one turn: the session for the next host must not execute the rest.
+        host.send(codec.encode_serial_request(Call("vm", (0, 100, 0)), host.wire_state) * 60)
         assert await host.some() == b""
-        assert not server.moving
+        other, _ = await server.at_port()
+        for _ in range(10):
+            await other.ask("gs")
+            assert not server.moving
         again, _ = server.at_link()
         assert (await again.ask("gs")).kind == "state"
     assert "internal error" in caplog.text
+
+
+async def test_faults_put_during_a_request_lose_no_reply(path: Path) -> None:
+    async with running_lines(path, new_channel=lambda: RateLimitedChannel(9600)) as server:
+        host, _ = server.at_link()
+        await host.ask("get_rv")
+        host.send(GS)
+        while (channel := server.line._channel) is None or channel.due_s is None:
+            await asyncio.sleep(0)
+        late = Rule("late", (Delay(0.001),), lines=("serial",))
+        server.daemon.faults.put(Plan((late,)), ["serial:1", "robotd:1"])
+        async with asyncio.timeout(30):
+            assert (await host.reply()).kind == "state"
 
 
 @pytest.mark.parametrize("new_channel", [None, lambda: RateLimitedChannel(BAUD)], ids=["unlimited", "baud"])

@@ -58,6 +58,18 @@ def test_a_surface_depends_on_seed_and_wall_alone() -> None:
     assert not np.array_equal(other_seed.levels_in[:5], SURFACE.levels_in[:5])
 
 
+def test_surfaces_of_walls_that_stay_are_drawn_once() -> None:
+    """Drawing costs more than all else where a thousand obstacles stand; walls that are gone take no memory."""
+    surfaces, other = Surfaces(7, STD_IN, LENGTH_IN, SPACING_IN), np.array([0.0, 50.0, 300.0, 50.0])
+    drawn, gone = surfaces.of_all(np.array([WALL, other]))
+    (same_wall,) = surfaces.of_all(WALL[None])
+    assert same_wall is drawn
+    _, again = surfaces.of_all(np.array([WALL, other]))
+    assert again is not gone
+    for part, same in zip(again, gone, strict=True):
+        np.testing.assert_array_equal(part, same)
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_perpendicular_echo_is_shorter_by_the_level(side: float) -> None:
     """Oracle: distance to the wall less the level there, seen from either side of it."""
