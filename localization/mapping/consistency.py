@@ -93,10 +93,10 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
     ]
 
 
-def _loops(visits: list[Indices]) -> list[tuple[int, int]]:
+def _loops(nodes_of_features: list[Indices]) -> list[tuple[int, int]]:
     """Return the first and last nodes (k, 2) between which some feature was not measured, by the nodes of each."""
     loops = set[tuple[int, int]]()
-    for nodes in visits:
+    for nodes in nodes_of_features:
         ends = np.flatnonzero(np.diff(nodes) > LOOP_NODES)
         loops |= {(int(nodes[end]), int(nodes[end + 1])) for end in ends}
     return sorted(loops)

@@ -406,7 +406,7 @@ Steps = dict[tuple[float, float], Step]
 
 
 def build_trajectory(
-    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float, known: Steps | None = None
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float, integrated: Steps | None = None
 ) -> Trajectory:
     """Return the nodes of a drive with all that the estimator needs.
 
@@ -420,7 +420,7 @@ def build_trajectory(
         Noise and limits of the readings.
     roughness_in
         Standard deviation of the walls' surfaces from straight lines, inches.
-    known
+    integrated
         Odometry by its instants that was integrated before, of the same drive; what is new is added.
     """
     # 1. Groups of readings; those in which the robot does not move are left out.
@@ -431,12 +431,13 @@ def build_trajectory(
     groups, instants = groups[moving], instants[moving]
     nodes = log.poses_at(instants)
     # 2. Odometry between the nodes.
-    known = {} if known is None else known
+    integrated = {} if integrated is None else integrated
     intervals = list(pairwise(instants.tolist()))
-    new = np.array([interval for interval in intervals if interval not in known]).reshape(-1, 2)
-    known.update(zip(map(tuple, new.tolist()), zip(*integrate_odometry(log, new, noise), strict=True), strict=True))
+    new = np.array([interval for interval in intervals if interval not in integrated]).reshape(-1, 2)
+    found = zip(*integrate_odometry(log, new, noise), strict=True)
+    integrated.update(zip(map(tuple, new.tolist()), found, strict=True))
     steps, covariance, by_parameters = (
-        np.array([known[interval][part] for interval in intervals]).reshape(-1, *shape)
+        np.array([integrated[interval][part] for interval in intervals]).reshape(-1, *shape)
         for part, shape in enumerate(((POSE,), (POSE, POSE), (POSE, MAX_STATE - POSE)))
     )
     root = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2)
