@@ -26,7 +26,8 @@ from nclient.common.hints import install_hint
 from nclient.errors import ExtraMissing, StartError
 from nserver_emu.simulation.drive import NO_TRACK
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import IDEAL, NO_NOISE, Purpose, RngFactory, RobotSetup, apply_model
+from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_model
+from nserver_emu.simulation.odometry import NO_NOISE
 from nserver_emu.simulation.segments import PS_PER_S, to_ps
 from nserver_emu.simulation.sonar import MAX_RATE, TICK_PS, SonarNoise
 from worlds.geometry import FloatArray

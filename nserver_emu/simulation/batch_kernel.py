@@ -1,6 +1,6 @@
 """The compiled part of the batch simulation: how one robot of many advances, as `SimulatedRobot` does.
 
-The formulas are those of axis, segments, drive, collision, odometry, noise, sonar and worlds.raycast: numba
+The formulas are those of axis, segments, drive, collision, odometry, sonar and worlds.raycast: numba
 compiles the same source. What stands here is only what connects them: there in objects, here in arrays.
 A robot is a record, and a batch an array of them; robots do not see each other, so threads advance parts of the array
 in parallel.
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import extending, types
 
-from nserver_emu.simulation import acoustics, axis, batch_random, collision, drive, noise, odometry, segments, sonar
+from nserver_emu.simulation import acoustics, axis, batch_random, collision, drive, odometry, segments, sonar
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Phase, advance_phases, phase_now, plan_distance, plan_velocity
 from nserver_emu.simulation.batch_random import standard_normal
 from nserver_emu.simulation.collision import (
@@ -35,8 +35,7 @@ from nserver_emu.simulation.collision import (
     touched_bumpers,
 )
 from nserver_emu.simulation.drive import NO_TRACK, AxisRate, path_segment, until_reversal
-from nserver_emu.simulation.noise import disturbed_segment
-from nserver_emu.simulation.odometry import erroneous_segment
+from nserver_emu.simulation.odometry import disturbed_segment, erroneous_segment
 from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegment, wrap_to_2pi
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
@@ -588,7 +587,7 @@ def _smallest(values: FloatArray, begin: int, end: int) -> float:
 # Compiling.
 
 _SOURCES: Final[tuple[ModuleType, ...]] = (
-    acoustics, axis, batch_random, collision, drive, noise, odometry, segments, sonar, raycast, rings,
+    acoustics, axis, batch_random, collision, drive, odometry, segments, sonar, raycast, rings,
 )  # fmt: skip
 """Modules whose functions are compiled where the loops call them."""
 
@@ -597,9 +596,9 @@ _FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (
     axis.advance_phases, batch_random.standard_normal, batch_random._tail, batch_random._uniform,
     batch_random.next_word, batch_random._high_word, collision.find_contact, collision._first_touched,
     collision._solve, collision._to_circle, collision._length, collision.touched_bumpers, drive.axis_rates,
-    drive.path_segment, drive.until_reversal, noise._walk_std, noise.disturbed_segment, odometry.erroneous_segment,
-    segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range, sonar.shifted,
-    raycast.nearest_wall, raycast.intersect, raycast.mean_ahead, rings.quantized_range,
+    drive.path_segment, drive.until_reversal, odometry._walk_std, odometry.disturbed_segment,
+    odometry.erroneous_segment, segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range,
+    sonar.shifted, raycast.nearest_wall, raycast.intersect, raycast.mean_ahead, rings.quantized_range,
     _command, _start_ring, _advance, _move_at,
     _move_by, _begin, _now, _after, _advance_axis, _halt, _segment, _advance_drive, _turret_after,
     _turret_direction, _move, _follow, _turn_uncounted, _contact, _walls_within, _bumpers, _fire_along, _fire_due,

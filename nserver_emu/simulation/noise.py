@@ -1,4 +1,4 @@
-"""Noise and setups: random streams, random errors of the motion, and setups, which say how realistic a simulation is.
+"""Random streams, and setups, which say how realistic a simulation is.
 
     ideal     axes jump to their speed, motion is exact, one exact ray per sonar
     noisy     axes ramp, motion errors are a random walk, sonars with 1 % noise: the settings of the experiments
@@ -25,10 +25,10 @@ stream of its own.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from math import radians, sqrt
+from math import radians
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple
@@ -44,8 +44,7 @@ from nserver_emu.simulation.acoustics import Polaroid, SonarErrors
 from nserver_emu.simulation.compass import NO_COMPASS_NOISE, CompassNoise
 from nserver_emu.simulation.infrared import NO_INFRARED_NOISE, InfraredNoise
 from nserver_emu.simulation.models import RobotModel
-from nserver_emu.simulation.odometry import EXACT, Odometry
-from nserver_emu.simulation.segments import ConstantAccelerationSegment
+from nserver_emu.simulation.odometry import EXACT, NO_NOISE, MotionNoise, Odometry
 from nserver_emu.simulation.settings import Key, keys_of, setting
 from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
 from worlds.robots import Calibration
@@ -72,105 +71,6 @@ class RngFactory(NamedTuple):
     def stream(self, purpose: Purpose) -> np.random.Generator:
         """Return the robot's stream for a purpose: independent of all others, and the same for the same seed."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(self.robot_id, purpose)))
-
-
-@dataclass(frozen=True, slots=True)
-class MotionNoise:
-    """Random errors of the motion: a random walk.
-
-    A segment of length |d| inches that turns by |a| radians really goes d + e and turns the whole body by f, with
-
-        var(f) = alpha1 |a| + alpha2 |d|      alpha1  rad        turn, from turning
-                                              alpha2  rad^2/in   turn, from driving
-        var(e) = alpha3 |d| + alpha4 |a|      alpha3  in         distance, from driving
-                                              alpha4  in^2/rad   distance, from turning
-
-    The variances of the book grow with the squares d^2 and a^2, so that they depend on how a path is divided; here the
-    variances of the pieces add up. For a localizer that updates every D inches and A radians the book's parameters of
-    one update are alpha1 / A, alpha3 / D, and alpha2 / D, alpha4 / A.
-
-    References
-    ----------
-    Thrun, Burgard and Fox, Probabilistic Robotics (2005), section 5.4.
-    """
-
-    alpha1: float = setting(0.0, 0, 10, "rad", "variance of the turn per radian turned")
-    alpha2: float = setting(0.0, 0, 10, "rad^2/in", "variance of the turn per inch driven")
-    alpha3: float = setting(0.0, 0, 10, "in", "variance of the distance per inch driven")
-    alpha4: float = setting(0.0, 0, 10, "in^2/rad", "variance of the distance per radian turned")
-
-    @classmethod
-    def walk(cls, along: float = 0.0, turn: float = 0.0, drift: float = 0.0) -> MotionNoise:
-        """Return the noise for the square roots that the settings of the experiments use.
-
-        Parameters
-        ----------
-        along
-            sqrt(inch): alpha3 = along^2.
-        turn
-            sqrt(radian): alpha1 = turn^2.
-        drift
-            radian/sqrt(inch): alpha2 = drift^2.
-        """
-        return cls(alpha1=turn**2, alpha2=drift**2, alpha3=along**2)
-
-    def distance_std_in(self, distance_in: float, angle_rad: float) -> float:
-        """Return the standard deviation of a distance on which the robot turns by an angle, inches."""
-        return _walk_std(self.alpha3, distance_in, self.alpha4, angle_rad)
-
-    def turn_std_rad(self, distance_in: float, angle_rad: float) -> float:
-        """Return the standard deviation of the body's turn on that distance."""
-        return _walk_std(self.alpha1, angle_rad, self.alpha2, distance_in)
-
-    def disturbed(
-        self, segment: ConstantAccelerationSegment, rng: np.random.Generator
-    ) -> ConstantAccelerationSegment:
-        """Return the true motion for a commanded one: the same duration, another length, and a turn of the body.
-
-        Draws twice if anything moves and there is noise; otherwise returns the same object without drawing.
-        """
-        duration = segment.duration_s
-        distance, angle = segment.distance_at(duration), segment.turn_at(duration)
-        if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
-            return segment
-        # Both numbers are drawn, even if one variance is 0: the stream must not depend on the parameters.
-        alphas = (self.alpha1, self.alpha2, self.alpha3, self.alpha4)
-        return disturbed_segment(segment, alphas, rng.standard_normal(), rng.standard_normal())
-
-
-def _walk_std(first_alpha: float, first: float, second_alpha: float, second: float) -> float:
-    return sqrt(first_alpha * abs(first) + second_alpha * abs(second))
-
-
-def disturbed_segment(
-    segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float, turn_normal: float
-) -> ConstantAccelerationSegment:
-    """Return a segment that moves with noise: the same duration, another length, and a turn of the body.
-
-    Parameters
-    ----------
-    alphas
-        alpha1 to alpha4 of `MotionNoise`.
-    along_normal, turn_normal
-        Standard normal numbers, of the length and of the turn.
-    """
-    duration, speed, acceleration, turn_rate, turn_acceleration = segment
-    distance, angle = segment.distance_at(duration), segment.turn_at(duration)
-    longer = _walk_std(alphas[2], distance, alphas[3], angle) * along_normal
-    turned = _walk_std(alphas[0], angle, alphas[1], distance) * turn_normal
-    # Scaling keeps the duration and the shape of the speed profile.
-    scale = 1.0 + longer / distance if distance else 1.0
-    return ConstantAccelerationSegment(
-        duration,
-        speed * scale if distance else longer / duration,
-        acceleration * scale,
-        turn_rate + turned / duration,
-        turn_acceleration,
-    )
-
-
-NO_NOISE: Final = MotionNoise()
-"""Every motion as commanded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,22 +1,129 @@
-"""Wheel odometry: systematic errors of the true motion, and the encoders' dead reckoning.
+"""Errors of the wheels: random and systematic errors of the true motion, and the encoders' dead reckoning.
 
-Systematic errors only; the random ones (alpha1 to alpha4) are in noise.py. Both change the true motion; the encoders
-count the commanded one. Slip is the opposite: the encoders count it, and the robot does not move.
-`SimulatedRobot._follow` (robot.py) applies both.
+    MotionNoise   random: alpha1 to alpha4, a random walk
+    Odometry      systematic: scales of the wheels, drift of the body, slip at contacts
+    Encoders      what the robot counts
+
+Both kinds of errors change the true motion; the encoders count the commanded one. Slip is the opposite: the encoders
+count it, and the robot does not move. `SimulatedRobot._follow` (robot.py) applies both.
 
     first, second = commanded motion of two axes   translation and steering; right and left wheel
     path_segment(scale_1 first, scale_2 second)    the true motion of the wheels
     + drift_1 first + drift_2 second               an additional turn of the whole body
+    MotionNoise.disturbed                          longer or shorter, and turned, at random
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, sin, sqrt
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from nserver_emu.simulation.drive import NO_TRACK, DifferentialDrive, Drive, axis_rates, path_segment
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi
 from nserver_emu.simulation.settings import setting
+
+
+@dataclass(frozen=True, slots=True)
+class MotionNoise:
+    """Random errors of the motion: a random walk.
+
+    A segment of length |d| inches that turns by |a| radians really goes d + e and turns the whole body by f, with
+
+        var(f) = alpha1 |a| + alpha2 |d|      alpha1  rad        turn, from turning
+                                              alpha2  rad^2/in   turn, from driving
+        var(e) = alpha3 |d| + alpha4 |a|      alpha3  in         distance, from driving
+                                              alpha4  in^2/rad   distance, from turning
+
+    The variances of the book grow with the squares d^2 and a^2, so that they depend on how a path is divided; here the
+    variances of the pieces add up. For a localizer that updates every D inches and A radians the book's parameters of
+    one update are alpha1 / A, alpha3 / D, and alpha2 / D, alpha4 / A.
+
+    References
+    ----------
+    Thrun, Burgard and Fox, Probabilistic Robotics (2005), section 5.4.
+    """
+
+    alpha1: float = setting(0.0, 0, 10, "rad", "variance of the turn per radian turned")
+    alpha2: float = setting(0.0, 0, 10, "rad^2/in", "variance of the turn per inch driven")
+    alpha3: float = setting(0.0, 0, 10, "in", "variance of the distance per inch driven")
+    alpha4: float = setting(0.0, 0, 10, "in^2/rad", "variance of the distance per radian turned")
+
+    @classmethod
+    def walk(cls, along: float = 0.0, turn: float = 0.0, drift: float = 0.0) -> MotionNoise:
+        """Return the noise for the square roots that the settings of the experiments use.
+
+        Parameters
+        ----------
+        along
+            sqrt(inch): alpha3 = along^2.
+        turn
+            sqrt(radian): alpha1 = turn^2.
+        drift
+            radian/sqrt(inch): alpha2 = drift^2.
+        """
+        return cls(alpha1=turn**2, alpha2=drift**2, alpha3=along**2)
+
+    def distance_std_in(self, distance_in: float, angle_rad: float) -> float:
+        """Return the standard deviation of a distance on which the robot turns by an angle, inches."""
+        return _walk_std(self.alpha3, distance_in, self.alpha4, angle_rad)
+
+    def turn_std_rad(self, distance_in: float, angle_rad: float) -> float:
+        """Return the standard deviation of the body's turn on that distance."""
+        return _walk_std(self.alpha1, angle_rad, self.alpha2, distance_in)
+
+    def disturbed(
+        self, segment: ConstantAccelerationSegment, rng: np.random.Generator
+    ) -> ConstantAccelerationSegment:
+        """Return the true motion for a commanded one: the same duration, another length, and a turn of the body.
+
+        Draws twice if anything moves and there is noise; otherwise returns the same object without drawing.
+        """
+        duration = segment.duration_s
+        distance, angle = segment.distance_at(duration), segment.turn_at(duration)
+        if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
+            return segment
+        # Both numbers are drawn, even if one variance is 0: the stream must not depend on the parameters.
+        alphas = (self.alpha1, self.alpha2, self.alpha3, self.alpha4)
+        return disturbed_segment(segment, alphas, rng.standard_normal(), rng.standard_normal())
+
+
+def _walk_std(first_alpha: float, first: float, second_alpha: float, second: float) -> float:
+    return sqrt(first_alpha * abs(first) + second_alpha * abs(second))
+
+
+def disturbed_segment(
+    segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float, turn_normal: float
+) -> ConstantAccelerationSegment:
+    """Return a segment that moves with noise: the same duration, another length, and a turn of the body.
+
+    Parameters
+    ----------
+    alphas
+        alpha1 to alpha4 of `MotionNoise`.
+    along_normal, turn_normal
+        Standard normal numbers, of the length and of the turn.
+    """
+    duration, speed, acceleration, turn_rate, turn_acceleration = segment
+    distance, angle = segment.distance_at(duration), segment.turn_at(duration)
+    longer = _walk_std(alphas[2], distance, alphas[3], angle) * along_normal
+    turned = _walk_std(alphas[0], angle, alphas[1], distance) * turn_normal
+    # Scaling keeps the duration and the shape of the speed profile.
+    scale = 1.0 + longer / distance if distance else 1.0
+    return ConstantAccelerationSegment(
+        duration,
+        speed * scale if distance else longer / duration,
+        acceleration * scale,
+        turn_rate + turned / duration,
+        turn_acceleration,
+    )
+
+
+NO_NOISE: Final = MotionNoise()
+"""Every motion as commanded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
 // The window Localization and the estimate on the map, from a localizer that this page started or from
-// `nomad localize --publish`, for the selected robot: a ghost robot with its 3-sigma ellipse, used and rejected beams with
+// `nomad localize --publish`, for the selected robot: a ghost robot with its 3-sigma ellipse, used and refused beams with
 // the reason, innovation, NIS and error over time, waypoints. Old data is marked and then fades. For a robot that is LOST,
 // no pose is shown, only the possible ones with their probabilities.
 
@@ -17,8 +17,8 @@ const GATE_99_9 = 10.828;  // 99.9 % quantile of chi-squared with one degree of 
 const REASONS = { none: 'used', limit: 'at sensor limit', no_wall: 'no wall', ambiguous_wall: 'ambiguous wall',
   grazing: 'grazing', gate: 'outside gate' };
 const CHARTS = {
-  innovation: ['Innovation', [['estimate', 'used'], ['hit', 'rejected']]],
-  nis: ['NIS', [['estimate', 'used'], ['hit', 'rejected, and the 99.9 % bound']]],
+  innovation: ['Innovation', [['estimate', 'used'], ['hit', 'refused']]],
+  nis: ['NIS', [['estimate', 'used'], ['hit', 'refused, and the 99.9 % bound']]],
   error: ['Position error', [['hit', 'error'], ['estimate', '3 sigma, major axis']]],
   heading: ['Heading error, °', [['hit', 'error'], ['estimate', '3 sigma']]],
 };

@@ -10,7 +10,8 @@ import pytest
 
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.models import N150 as N150_MODEL
-from nserver_emu.simulation.noise import MEASURED, NO_NOISE
+from nserver_emu.simulation.noise import MEASURED
+from nserver_emu.simulation.odometry import NO_NOISE
 from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.simulation.single_pings import first_echo_in

@@ -13,8 +13,8 @@ import pytest
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
 from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, candidate_pairs, discs_of, neighbours
-from nserver_emu.simulation.noise import IDEAL, NOISY, MotionNoise, RobotSetup
-from nserver_emu.simulation.odometry import Odometry
+from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.odometry import MotionNoise, Odometry
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import Polygon, StartPose, World

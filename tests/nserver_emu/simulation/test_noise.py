@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.noise import MotionNoise, Purpose, RngFactory
+from nserver_emu.simulation.noise import Purpose, RngFactory
+from nserver_emu.simulation.odometry import MotionNoise
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
 NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)

@@ -8,8 +8,8 @@ from math import pi, radians, sin
 import pytest
 
 from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN, RobotModel
-from nserver_emu.simulation.noise import NO_NOISE, WORN, MotionNoise, RobotSetup
-from nserver_emu.simulation.odometry import Odometry
+from nserver_emu.simulation.noise import WORN, RobotSetup
+from nserver_emu.simulation.odometry import NO_NOISE, MotionNoise, Odometry
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise

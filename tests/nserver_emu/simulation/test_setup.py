@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.simulation.noise import NO_NOISE, SETUPS, MotionNoise
-from nserver_emu.simulation.odometry import EXACT
+from nserver_emu.simulation.noise import SETUPS
+from nserver_emu.simulation.odometry import EXACT, NO_NOISE, MotionNoise
 from nserver_emu.simulation.sonar import SonarNoise
 
 
