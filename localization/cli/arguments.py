@@ -40,7 +40,7 @@ from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.robots import BODIES, IDEAL_CALIBRATION, Body, Calibration, load_calibration
+from worlds.robots import BODIES, IDEAL_CALIBRATION, N150, Body, Calibration, load_bodies, load_calibration
 from worlds.world import World
 
 MAX_NOISE: Final = 10
@@ -254,6 +254,14 @@ def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prin
         more = f" and {len(found) - 4} more" if len(found) > 4 else ""
         print(f"places that look like the start: {poses}{more}", flush=True)
     return found
+
+
+def resolve_log_body(options: argparse.Namespace) -> Body:
+    """Return the robot of a log: --body, or the last model of --model-file, or an N150."""
+    name = options.body
+    if not name:
+        name = [*load_bodies(options.model_file)][-1] if options.model_file else N150.name
+    return resolve_body(name, options.model_file, None)
 
 
 def make_folder(folder: Path) -> None:

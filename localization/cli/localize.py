@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from localization.cli import arguments
-from localization.cli.arguments import START_STD, UNKNOWN, check_writable
+from localization.cli.arguments import START_STD, UNKNOWN, check_writable, resolve_log_body
 from localization.filters.base import LocalizationConfig, with_wall_errors
 from localization.filters.belief import POSE, independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
@@ -46,7 +46,6 @@ from nclient.common.process import ExitCode, TerminatedBySignal
 from nclient.recording import convert
 from worlds.io import load_world
 from worlds.rings import Ring
-from worlds.robots import N150, Body, load_bodies
 from worlds.world import World
 
 
@@ -316,7 +315,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
         options.refuse("a map is required: --map WORLD, a shipped world or a TOML file")
     if options.start == UNKNOWN:
         options.refuse(f"--start {UNKNOWN} needs a robot: give the pose at the first row of the log")
-    world, body = load_world(options.map), _body(options)
+    world, body = load_world(options.map), resolve_log_body(options)
     check_writable(options.estimates, options.picture)
     if options.picture:
         from localization.plot import check_picture
@@ -338,14 +337,6 @@ def localize_recorded(options: argparse.Namespace) -> int:
         draw_run(options.picture, world, done, body)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
     return ExitCode.DONE
-
-
-def _body(options: argparse.Namespace) -> Body:
-    """Return the robot of the log: --body, or the last model of --model-file, or an N150."""
-    name = options.body
-    if not name:
-        name = [*load_bodies(options.model_file)][-1] if options.model_file else N150.name
-    return resolve_body(name, options.model_file, None)
 
 
 def _table(done: Run) -> str:

@@ -14,21 +14,24 @@ import json
 import math
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
 from urllib.parse import quote
 
 from localization.cli import arguments
 from localization.filters.belief import Floats
-from localization.filters.sonar_cone import ConeSonar
-from localization.live.assumptions import resolve_body, resolve_robot_model, sonar_model_of_address
+from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
+from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model, sonar_model_of_address
+from localization.live.log import read_log, without_echo
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import DriveCollector, DriveLog, read_drive
+from localization.mapping.measurements import DriveCollector, DriveLog, drive_of_rows, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
 from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
@@ -40,12 +43,20 @@ from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode, TerminatedBySignal, show_seconds
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
+from nclient.recording import convert
 from nclient.url import parse_address, split_address
 from worlds.io import format_world, parse_world
 from worlds.map_files import MapsExtraMissing
+from worlds.rings import Ring
 from worlds.robots import BODIES, Body, format_calibration
 
 DRIVES = ("auto", "manual")
+SONARS: Final[Mapping[str, Callable[[Ring], ConeSonar]]] = MappingProxyType(
+    {"rays": cone_sonar, "cones": cone_sonar, BUILDING_SETUP: building_sonar}
+)
+"""Limits and noise of the readings by --sonars."""
+BUILDING_ROUGHNESS_IN = 0.8
+"""Pieces of a real wall differ by 40 mm, doors stand back."""
 PRINT_S = 5.0
 """Seconds of the robot's clock between two lines of progress."""
 SPEED_IN_S = 6.0
@@ -79,15 +90,26 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--from", dest="recording", nargs="+", type=Path, metavar="RECORDING",
-        help="read this recording of a drive instead of driving; several are parts of one drive, in order",
+        help="read this recording of a drive instead of driving; several are parts of one drive, in order; or one log "
+             "of any robot: bag, MCAP or CARMEN log as nomad convert reads them, or CSV (page Real data of the manual)",
     )  # fmt: skip
     add_value(parser, "--picture", "PNG", Path, "draw the result into this file (needs the extra `plot`)")
     arguments.add_odometry_noise(parser)
-    add_value(parser, "--roughness", "IN", arguments.parse_positive,
-              "standard deviation of walls from straight lines in inches: 0.8 for a real building", ROUGHNESS_IN)
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="sonar model: exact rays, or the cones of a real ring (default: for sim: addresses that "
-                             "of the setup, else cones)")  # fmt: skip
+    parser.add_argument(
+        "--body", type=str.lower, metavar="NAME",
+        help="with --from a log: the robot, a Nomad or one of --model-file (default: the last one there, else n150)",
+    )
+    parser.add_argument("--model-file", type=Path, metavar="FILE", help="with --from a log: robot models, their sonars")
+    parser.add_argument(
+        "--roughness", type=arguments.parse_positive, metavar="IN",
+        help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}, with --sonars "
+             f"{BUILDING_SETUP} {BUILDING_ROUGHNESS_IN})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sonars", choices=SONARS,
+        help="sonar model: exact rays, the cones of a real ring, or the same in a real building, whose walls have "
+             "doors and posts (default: for sim: addresses that of the setup, else cones)",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print only the result, as JSON, on stdout")
     live = parser.add_argument_group("driving")
     live.add_argument(
@@ -132,8 +154,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"nomad map learn: no map written: {error}", file=sys.stderr)
             return ExitCode.UNFIT
         # 3. The map.
-        log = read_drive(*recordings)
-        learned = _learn(options, log, recordings, page)
+        learned = _learn(options, read_source(options, recordings), recordings, page)
     return result if learned is ExitCode.DONE else learned
 
 
@@ -162,24 +183,61 @@ def recordings_of(
     return options.recording, ExitCode.DONE
 
 
-def _learn(
-    options: argparse.Namespace, log: DriveLog, recordings: list[Path], page: MapPublisher | None
-) -> ExitCode:
-    """Learn the map of a drive, write the files and print the result."""
-    learner = MapLearner(
-        log, options.odometry_noise, ConeSonar(), rays=has_rays(options), roughness_in=options.roughness
+class Source(NamedTuple):
+    """A drive, with the robot and the sonars that measured it."""
+
+    log: DriveLog
+    body: Body
+    sonar: ConeSonar
+
+
+def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
+    """Read recordings of a Nomad, or the log of any robot.
+
+    Raises
+    ------
+    LogFileError, RecordingError, WorldFileError
+    """
+    if options.recording is None or convert.is_recording(recordings[0]):
+        if options.body or options.model_file:
+            options.refuse("--body and --model-file describe the robot of a log: a recording names its own")
+        log = read_drive(*recordings)
+        return Source(log, BODIES[log.model], SONARS[options.sonars or "cones"](BODIES[log.model].ring))
+    if len(recordings) > 1:
+        options.refuse("--from several files: parts of a drive are recordings; of logs, give one")
+    body = arguments.resolve_log_body(options)
+    rows = without_echo(read_log(recordings[0]), body.ring)
+    return Source(drive_of_rows(rows, body), body, SONARS[options.sonars or "cones"](body.ring))
+
+
+def learner_of(options: argparse.Namespace, source: Source) -> MapLearner:
+    """Return the estimator of a drive."""
+    return MapLearner(
+        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in(options)
     )
+
+
+def roughness_in(options: argparse.Namespace) -> float:
+    """Return --roughness, or that of the sonar model."""
+    if options.roughness is not None:
+        return float(options.roughness)
+    return BUILDING_ROUGHNESS_IN if options.sonars == BUILDING_SETUP else ROUGHNESS_IN
+
+
+def _learn(options: argparse.Namespace, source: Source, recordings: list[Path], page: MapPublisher | None) -> ExitCode:
+    """Learn the map of a drive, write the files and print the result."""
+    learner = learner_of(options, source)
     with show_seconds("learning the map"):
         while not learner.is_complete:
             learner.advance()
         learner.finish()
-        found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, log.model))
+        found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, source.body))
     # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)
     reason = found.reason_to_refuse()
     if not reason:
-        _write_files(options, found, log.model, recordings)
+        _write_files(options, found, source.body.name, recordings)
     if page is not None:
         page.finish(learner.estimate, f"No map written: {reason}" if reason else f"Written to {options.out}.")
     print(json.dumps(found.as_json()) if options.json else summary(found))
@@ -189,10 +247,10 @@ def _learn(
     return ExitCode.DONE
 
 
-def _unexplored(estimate: MapEstimate, model: str) -> Floats | None:
+def _unexplored(estimate: MapEstimate, body: Body) -> Floats | None:
     """Return where the room goes on beyond the map; None without the extra that finds it."""
     with contextlib.suppress(MapsExtraMissing):
-        return Explorer(BODIES[model].radius_in, SPEED_IN_S, math.inf).unexplored(estimate)
+        return Explorer(body.radius_in, SPEED_IN_S, math.inf).unexplored(estimate)
     return None
 
 
@@ -306,7 +364,8 @@ def _follow(
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         return LiveMapper(
-            collector, options.odometry_noise, ConeSonar(), rays=rays, roughness_in=options.roughness
+            collector, options.odometry_noise, SONARS[options.sonars or "cones"](body.ring), rays=rays,
+            roughness_in=roughness_in(options),
         )
 
     limits = MODEL_LIMITS[robot.model.name].capped(options.speed, TURN_RAD_S)

@@ -11,9 +11,6 @@ import numpy as np
 
 from localization.cli import arguments, map_learn
 from localization.filters.belief import Floats
-from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.learn import MapLearner
-from localization.mapping.measurements import read_drive
 from localization.mapping.output import MapRefused
 from localization.mapping.survey import RobotMoved
 from localization.mapping.update import MapDifference, compare, start_pose
@@ -52,10 +49,7 @@ def run(options: argparse.Namespace) -> int:
         # 2. The walls of the drive.
         with map_learn.page_of(options) as page:
             recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"), page)
-        log = read_drive(*recordings)
-        learner = MapLearner(
-            log, options.odometry_noise, ConeSonar(), rays=map_learn.has_rays(options), roughness_in=options.roughness
-        )
+        learner = map_learn.learner_of(options, map_learn.read_source(options, recordings))
         with show_seconds("learning the walls of the drive"):
             while not learner.is_complete:
                 learner.advance()

@@ -43,7 +43,7 @@ from localization.mapping.association import (
     segments_of,
 )
 from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
-from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
+from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
 from localization.mapping.walls import (
     MAX_SPAN_IN,
@@ -80,6 +80,8 @@ MIN_JOIN_ECHOES: Final = 4
 JOINED_PENALTY: Final = 15.0
 """Of a wall between two points, which has no unknowns of its own."""
 POINT_ON_WALL_IN: Final = 2.5
+ABSORB_LOSS: Final = 4.0 * PENALTY["point"]
+"""If a point's echoes cost so much more on the wall, the map is not optimized without it: that could hardly pay."""
 TIE_IN: Final = 1.0
 TIE_BEYOND_IN: Final = 6.0
 """A point within TIE_IN of a wall's line, and not farther beyond its end, lies on the wall."""
@@ -271,6 +273,8 @@ def absorb_points(estimate: MapEstimate) -> int:
         c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
         across = np.abs(point[0] * c + point[1] * s - state.walls[:, 1])
         along = point[1] * c - point[0] * s
+        echoes = estimate.echoes_of(walls + number)
+        now = _cost_of(estimate, echoes)
         for wall in np.flatnonzero(across < TIE_IN + 2.0):
             low, high = estimate.extents[wall]
             if not low - MERGE_GAP_IN < along[wall] < high + MERGE_GAP_IN:
@@ -282,6 +286,8 @@ def absorb_points(estimate: MapEstimate) -> int:
             extents[wall] = min(low, along[wall]), max(high, along[wall])
             trial.assignment, trial.extents = replace(trial.assignment, feature=feature), extents
             trial.remove(walls + number)
+            if _cost_of(trial, echoes) - now > ABSORB_LOSS:
+                continue
             trial.optimize(3)
             trial.associate()
             trial.optimize(3)
@@ -290,6 +296,11 @@ def absorb_points(estimate: MapEstimate) -> int:
                 absorbed += 1
                 break
     return absorbed
+
+
+def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:
+    """Return the robust cost of some echoes, assigned anew."""
+    return float(assign(estimate.problem, estimate.state, estimate.extents, echoes)[1].sum())
 
 
 def join_points(estimate: MapEstimate) -> int:

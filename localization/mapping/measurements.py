@@ -30,12 +30,13 @@ from localization.filters.odometry import (
     step_jacobians,
 )
 from localization.filters.sonar_cone import ConeSonar
+from localization.live.log import LogRow, new_echoes
 from localization.live.sensor_input import FiringSchedule, FiringTime
-from nclient.errors import RecordingError
+from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Recording, read_recording
 from nclient.state import RobotState
-from worlds.robots import BODIES
+from worlds.robots import BODIES, Body
 
 Indices = npt.NDArray[np.intp]
 
@@ -270,6 +271,33 @@ def read_drive(*paths: Path) -> DriveLog:
         log = found
     assert log is not None
     return log
+
+
+def drive_of_rows(rows: Sequence[LogRow], body: Body) -> DriveLog:
+    """Return the drive of a log that has the last reading of each sonar, and not when it fired.
+
+    A reading is taken at the instant of the row in which it is new (`new_echoes`).
+
+    Raises
+    ------
+    LogFileError
+        If the log has no new reading, or the sonars do not stand on a circle about the robot's axis.
+    """
+    ring = body.ring
+    if ring.shifts_in:
+        raise LogFileError(f"model {body.name!r} has mounts_in: sonars must stand on a circle about the robot's axis")
+    clocks = [row.clock_s for row in rows]
+    new = new_echoes([row.sonars_in for row in rows], clocks, ring.round_s)
+    firings = [
+        (clock_s, sonar, row.sonars_in[sonar])
+        for clock_s, row, sonars in zip(clocks, rows, new, strict=True) for sonar in sonars
+    ]  # fmt: skip
+    if len(firings) < READINGS_PER_NODE:
+        raise LogFileError(f"the log has {len(firings)} new readings, a map needs hundreds")
+    instants, sonars, readings = (np.array(column) for column in zip(*firings, strict=True))
+    encoders = np.array([(row.clock_s, *row.odometry, row.turret_rad) for row in rows])
+    encoders[:, 3:] = np.unwrap(encoders[:, 3:], axis=0)
+    return DriveLog(encoders, instants, sonars, readings, np.array(ring.angles_rad), ring.radius_in, body.name)
 
 
 def _drive_of(recording: Recording, connection: str, before: DriveLog | None) -> DriveLog | None:

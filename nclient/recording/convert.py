@@ -191,6 +191,14 @@ def format_of_file(path: Path) -> str:
     raise RecordingError(f"{path}: is no recording, MCAP, ROS bag, CARMEN log or CSV with a column time_s")
 
 
+def is_recording(path: Path) -> bool:
+    """Return True for a recording of this project, or a file of no format that is read here."""
+    try:
+        return format_of_file(path) == RECORDING
+    except RecordingError:
+        return True
+
+
 def may_be_drive(path: Path, or_csv: bool = False) -> bool:
     """Return True if a file is of a format that has a drive, CSV only with `or_csv`."""
     try:

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.experiments.corridor import Corridor, degraded, read_corridor
+from localization.cli.map_learn import BUILDING_ROUGHNESS_IN
+from localization.experiments.corridor import degraded, read_corridor
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.sonar_cone import building_sonar
-from localization.live.log import new_echoes
 from localization.mapping.learn import learn_map
-from localization.mapping.measurements import DriveLog
+from localization.mapping.measurements import drive_of_rows
 from localization.mapping.output import LearnedMap, describe
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "udacity_corridor"
@@ -18,20 +18,6 @@ pytestmark = pytest.mark.skipif(not DATA.exists(), reason="needs the data of doc
 METRES = 0.0254
 WIDTH_M = 2.09 + 2 * 0.23
 """2.09 m between the sonars at both sides, plus the radius of the ring twice."""
-ROUGHNESS_IN = 0.8
-"""Pieces of the walls differ by 40 mm."""
-
-
-def drive_of(corridor: Corridor, seed: int) -> DriveLog:
-    """Return the drive with odometry that has random errors of `--odometry-noise` 0.1,0.1,0.005."""
-    rows = degraded(corridor, (0.0, 0.0, 0.0), np.random.default_rng(seed))
-    ring = corridor.body.ring
-    new = new_echoes([row.sonars_in for row in rows], [row.clock_s for row in rows], ring.round_s)
-    firings = [(rows[k].clock_s, sonar, rows[k].sonars_in[sonar]) for k, sonars in enumerate(new) for sonar in sonars]
-    instants, sonars, readings = (np.array(column) for column in zip(*firings, strict=True))
-    encoders = np.array([(row.clock_s, *row.odometry, row.turret_rad) for row in rows])
-    encoders[:, 3:] = np.unwrap(encoders[:, 3:], axis=0)
-    return DriveLog(encoders, instants, sonars, readings, np.array(ring.angles_rad), corridor.body.sonar_ring_radius_in)
 
 
 def parallel_walls(found: LearnedMap) -> tuple[float, float]:
@@ -51,7 +37,10 @@ def parallel_walls(found: LearnedMap) -> tuple[float, float]:
 def test_corridor_has_two_parallel_walls_at_its_width(seed: int) -> None:
     corridor = read_corridor(DATA)
     sonar = building_sonar(corridor.body.ring)
-    found = describe(learn_map(drive_of(corridor, seed), THESIS_ODOMETRY, sonar, roughness_in=ROUGHNESS_IN))
+    # Odometry with random errors of `--odometry-noise` 0.1,0.1,0.005.
+    rows = degraded(corridor, (0.0, 0.0, 0.0), np.random.default_rng(seed))
+    log = drive_of_rows(rows, corridor.body)
+    found = describe(learn_map(log, THESIS_ODOMETRY, sonar, roughness_in=BUILDING_ROUGHNESS_IN))
     turn_deg, width_m = parallel_walls(found)
     assert turn_deg < 1.0
     assert width_m == pytest.approx(WIDTH_M, abs=0.05)
