@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import hypot, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -27,15 +27,24 @@ import numpy as np
 
 from localization.experiments.execution import progress
 from localization.experiments.output import add_choice, add_shared, executor_for, text_table
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
+from localization.live.assumptions import RING_SETUPS
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, FiringTime, SensorData
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, learn_map
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import DriveCollector, DriveLog, read_drive, rigid_fit, rotate
+from localization.mapping.measurements import (
+    DriveCollector,
+    DriveLog,
+    compose,
+    read_drive,
+    relative_pose,
+    rigid_fit,
+    rotate,
+)
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.survey import survey
 from localization.navigation.limits import MODEL_LIMITS
@@ -48,6 +57,7 @@ from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world
 from worlds.raycast import cast_rays
 from worlds.robots import N150
+from worlds.world import World
 
 Point = tuple[float, float]
 
@@ -80,8 +90,16 @@ RADIUS_IN: Final = 2.0
 MAX_BEARING_RAD: Final = 0.5
 FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
 SAMPLE_IN: Final = 1.0
+MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization."""
+SETUPS: Final = ("measured", "noisy", "worn", "building")
+BUILDING_ROUGHNESS_IN: Final = 0.8
+"""`--roughness` for walls of a real building."""
+OFFSETS, WHEELS, READINGS = "offsets", "wheels", "readings"
+DISTURBANCES: Final = (OFFSETS, WHEELS, READINGS)
+OFFSET_STD_IN, DISTANCE_SCALE, TURN_SCALE, BAD_FRACTION = 1.0, 1.03, 1.02, 0.2
+"""Sonars off by a constant each; encoders; fraction of the readings that are random."""
 
 
 class Trial(NamedTuple):
@@ -92,6 +110,17 @@ class Trial(NamedTuple):
     seed: int
     time_limit_s: float = 300.0
     explores: bool = False
+    disturbance: str = ""
+
+    @property
+    def rays(self) -> bool:
+        """True if the sonars of this setup measure along exact rays."""
+        return self.setup not in RING_SETUPS
+
+    @property
+    def roughness_in(self) -> float:
+        """Standard deviation of the walls from straight lines, as `--roughness` gives it."""
+        return BUILDING_ROUGHNESS_IN if self.setup == "building" else ROUGHNESS_IN
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +252,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         mappers.append(
-            _TimedMapper(collector, THESIS_ODOMETRY, ConeSonar(), rays=False, roughness_in=ROUGHNESS_IN)
+            _TimedMapper(collector, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
         )
         return mappers[-1]
 
@@ -236,6 +265,24 @@ def explore(trial: Trial, folder: Path) -> Drive:
             if step.elapsed_s > trial.time_limit_s:
                 break
     return Drive(read_drive(path), np.array(truth), contacts, explorer.seconds + mappers[-1].seconds)
+
+
+def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
+    """Return a drive with systematic errors of its sonars or wheels, or with random readings; the same without one."""
+    rng, readings, encoders = np.random.default_rng(seed), log.readings_in.copy(), log.encoders.copy()
+    measured = readings < NO_ECHO_IN
+    if disturbance == OFFSETS:
+        readings += np.where(measured, rng.normal(0.0, OFFSET_STD_IN, len(log.angles_rad))[log.sonars], 0.0)
+    elif disturbance == READINGS:
+        is_bad = measured & (rng.random(len(readings)) < BAD_FRACTION)
+        readings[is_bad] = rng.uniform(MIN_ECHO_IN, NO_ECHO_IN, int(is_bad.sum()))
+    elif disturbance == WHEELS:
+        steps = relative_pose(encoders[:-1, 1:4], encoders[1:, 1:4])
+        turret = wrap_angle(encoders[:, 4] - encoders[:, 3])
+        for row, step in enumerate(steps * (DISTANCE_SCALE, DISTANCE_SCALE, TURN_SCALE)):
+            encoders[row + 1, 1:4] = compose(encoders[row, 1:4], step)
+        encoders[:, 4] = encoders[:, 3] + turret
+    return replace(log, encoders=encoders, readings_in=np.clip(np.round(readings), MIN_ECHO_IN, NO_ECHO_IN))
 
 
 def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
@@ -344,14 +391,15 @@ def _error(learned: Floats, walls: Floats) -> tuple[float, float]:
     return float(off[1] * along[0] - off[0] * along[1]), float(np.degrees(_turn_between(near, learned)))
 
 
-def localization_error(driven: Drive, walls: Floats, turn: float, shift: Floats) -> float:
+def localization_error(driven: Drive, world: World, turn: float, shift: Floats, *, rays: bool) -> float:
     """Return the RMSE of a localization on a drive, in a map that a turn and a shift bring into the world's frame."""
     clock = driven.log.encoders[:, 0]
     true = driven.truth_at(clock)
     # 1. The true start in the frame of the map.
     begin = rotate(true[0, :2] - shift, np.array(-turn))
     start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
-    config = LocalizationConfig(walls, N150, THESIS_ODOMETRY, ConeSonar())
+    sonar = with_wall_errors(sonar_of(N150.ring, rays=rays), world)
+    config = LocalizationConfig(world.walls, N150, THESIS_ODOMETRY, sonar)
     localizer = Localizer(config, start, FiringSchedule(float(clock[0])))
     # 2. The states of the recording again. Each shows the last reading of each sonar.
     readings = [255.0] * len(driven.log.angles_rad)
@@ -374,18 +422,19 @@ def run(trial: Trial) -> tuple[Trial, Score]:
             fresh = drive(trial._replace(seed=trial.seed + OTHER_SEED), FRESH_TOURS[trial.world], Path(folder))
     # 1. The map, from the recording alone.
     began = time.process_time()
-    estimate = learn_map(driven.log, THESIS_ODOMETRY, ConeSonar())
+    log = disturbed(driven.log, trial.disturbance, trial.seed)
+    estimate = learn_map(log, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
     found = describe(estimate)
     seconds = time.process_time() - began
     # 2. Against the truth.
     trajectory = estimate.problem.trajectory
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
-    true_walls = load_world(trial.world).walls
     turn, shift = rigid_fit(found.path[:, :2], driven.truth_at(trajectory.instants_s)[:, :2])
     own = true = math.nan
     if fresh is not None:
-        own = localization_error(fresh, found.world("own").walls, turn, shift) if found.walls else math.nan
-        true = localization_error(fresh, true_walls, 0.0, np.zeros(2))
+        if found.walls:
+            own = localization_error(fresh, found.world("own"), turn, shift, rays=trial.rays)
+        true = localization_error(fresh, load_world(trial.world), 0.0, np.zeros(2), rays=trial.rays)
     duration = float(driven.log.encoders[-1, 0] - driven.log.encoders[0, 0])
     return trial, Score(trial, duration, **numbers, refused=found.reason_to_refuse(), seconds=seconds,
                         true_map_in=true, own_map_in=own,
@@ -395,8 +444,22 @@ def run(trial: Trial) -> tuple[Trial, Score]:
 # The table.
 
 
-def summarize(scores: Sequence[Score]) -> list[list[str]]:
-    """Return rows of requirement, required, measured."""
+def table(scores: Sequence[Score]) -> list[list[str]]:
+    """Return rows of requirement, required, and what was measured in each setup."""
+    columns: dict[str, list[Score]] = {}
+    for score in scores:
+        columns.setdefault(f"{score.trial.setup} {score.trial.disturbance}".strip(), []).append(score)
+    parts = {name: summarize(part, name) for name, part in columns.items()}
+    # A row that one of them lacks, since it drove in other worlds, stays empty there.
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for name, part in parts.items():
+        for requirement, required, measured in part:
+            rows.setdefault((requirement, required), {})[name] = measured
+    return [[*row, *(values.get(name, "") for name in parts)] for row, values in rows.items()]
+
+
+def summarize(scores: Sequence[Score], name: str = "measured") -> list[list[str]]:
+    """Return rows of requirement, required, and what was measured, under a name."""
     offsets, angles, ends, z = (
         np.concatenate([getattr(score, name) for score in scores])
         for name in ("offsets_in", "angles_deg", "ends_in", "z")
@@ -406,7 +469,8 @@ def summarize(scores: Sequence[Score]) -> list[list[str]]:
     worse = worse[np.isfinite(worse)]
     localized = f"{np.median(worse):.3f}, {worse.max():.2f}" if len(worse) else "no run"
     return [
-        ["requirement", "required", "measured"],
+        ["requirement", "required", name],
+        ["runs", "100", str(len(scores))],
         *_rows_of_walls(scores),
         ["visible length found: mean, worst", "90 % of a flat", _shares([score.seen for score in scores])],
         *_rows_of_exploration([score for score in scores if score.trial.explores]),
@@ -416,6 +480,7 @@ def summarize(scores: Sequence[Score]) -> list[list[str]]:
         ["angle: median, worst (deg)", "0.2, 2", f"{np.median(angles):.3f}, {angles.max():.2f}"],
         ["ends: median (in)", "0.15", f"{np.median(ends):.3f}"],
         ["path RMSE: median, worst (in)", "0.3, 0.5", f"{np.median(path):.3f}, {path.max():.2f}"],
+        ["runs with a path RMSE above 3 in", "0", str(int((path > 3.0).sum()))],
         ["odometry RMSE: median, worst (in)", "", _range([score.odometry_in for score in scores])],
         ["localization, own less true map (in)", "0.05, 0.15", localized],
         ["stated standard deviations: rms z", "0.8 to 1.5", f"{np.sqrt(np.square(z).mean()):.2f}"],
@@ -465,22 +530,31 @@ def main(arguments: Sequence[str]) -> None:
     if FLAT in options.worlds and not options.explore:
         parser.error(f"{FLAT} has no waypoints: add --explore")
     trials = [
-        Trial(world, setup, seed, options.time_limit, options.explore)
+        Trial(world, setup, seed, options.time_limit, options.explore, options.disturb or "")
         for world in options.worlds
         for setup in options.setups
         for seed in range(options.first, options.first + options.seeds)
     ]
-    scores = []
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "mapping.json"
+    scores = [score for earlier in options.add for score in read_scores(earlier)]
+    done = {score.trial for score in scores}
+    trials = [trial for trial in trials if trial not in done]
     with progress(len(trials), "mapping", "trials") as tally:
         for _, result in executor_for(run, options)(trials):
             scores.append(result)
+            # After each, so that a run that is ended has those so far.
+            file.write_text(json.dumps([asdict(found) for found in scores], indent=1) + "\n", encoding="utf-8")
             tally(1)
-    options.out.mkdir(parents=True, exist_ok=True)
-    file = options.out / "mapping.json"
-    file.write_text(json.dumps([asdict(found) for found in scores], indent=1) + "\n", encoding="utf-8")
     found = [asdict(score) for score in scores]
-    print(json.dumps(found) if options.json else text_table(summarize(scores)), flush=True)
+    print(json.dumps(found) if options.json else text_table(table(scores)), flush=True)
     print(f"written: {file}", file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def read_scores(file: Path) -> list[Score]:
+    """Return the scores in a file of this command."""
+    rows: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    return [Score(**{**row, "trial": Trial(*row["trial"])}) for row in rows]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -493,7 +567,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")
     parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S",
                         help="end a drive after this time in s (default: %(default)s)")  # fmt: skip
-    add_choice(parser, "--setups", ("measured",), ["measured"], "setups of the simulation")
+    add_choice(parser, "--setups", SETUPS, ["measured"], "setups of the simulation")
+    add_choice(parser, "--disturb", DISTURBANCES, None, "make recordings worse before the map is learned: sonars off "
+               "by 1 in (rms), wheels 3 %% off, or a fifth of the readings random")
+    parser.add_argument("--add", type=Path, nargs="+", default=[], metavar="FILE",
+                        help="add the runs in these files of earlier results, and do not repeat them")  # fmt: skip
     parser.add_argument("--first", type=int, default=100, metavar="N", help="first seed (default: %(default)s)")
     add_shared(parser, Path("out/experiments"), "trial")
     return parser

@@ -1,11 +1,26 @@
 """The comparison of learned maps with true ones, on maps whose errors are known, and one trial end to end."""
 
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 from localization.experiments import mapping
-from localization.experiments.mapping import Drive, Trial, fit_error, score, visible_samples
-from localization.filters.belief import Floats
+from localization.experiments.mapping import (
+    Drive,
+    Score,
+    Trial,
+    disturbed,
+    fit_error,
+    read_scores,
+    score,
+    table,
+    visible_samples,
+)
+from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.consistency import Part
 from localization.mapping.measurements import rigid_fit, rotate
 from localization.mapping.output import LearnedMap, Quality
@@ -63,6 +78,54 @@ def test_walls_behind_others_are_not_visible() -> None:
     samples = visible_samples(walls, np.array([[20.0, 10.0]]))
     assert len(samples[0]) == len(samples[1]) == 40
     assert len(samples[2]) < 20
+
+
+def test_sonars_wheels_and_readings_are_disturbed() -> None:
+    log = drive()
+    assert np.array_equal(disturbed(log, "", 3).encoders, log.encoders)
+    # 1. Each sonar by a constant, within the rounding; readings at the limits stay there.
+    error = disturbed(log, "offsets", 3).readings_in - log.readings_in
+    inside = (log.readings_in > 10.0) & (log.readings_in < 250.0)
+    of_each = [error[inside & (log.sonars == sonar)] for sonar in range(16)]
+    assert max(np.ptp(part) for part in of_each) <= 1.0
+    assert 0.5 < np.std([part.mean() for part in of_each]) < 1.6
+    # 2. Distances 3 %, turns 2 % too large.
+    worn = disturbed(log, "wheels", 3).encoders
+    sizes = [np.hypot(*np.diff(rows[:, 1:3], axis=0).T).sum() for rows in (worn, log.encoders)]
+    assert sizes[0] / sizes[1] == pytest.approx(1.03, abs=1e-6)
+    turns = [np.abs(wrap_angle(np.diff(rows[:, 3]))).sum() for rows in (worn, log.encoders)]
+    assert turns[0] / turns[1] == pytest.approx(1.02, abs=1e-6)
+    np.testing.assert_allclose(wrap_angle(worn[:, 4] - worn[:, 3]), 0.0, atol=1e-9)
+    # 3. A fifth of the readings.
+    changed = disturbed(log, "readings", 3).readings_in != log.readings_in
+    assert changed.mean() == pytest.approx(0.2, abs=0.03)
+
+
+def a_score(trial: Trial, **values: Any) -> Score:
+    sound = {
+        "duration_s": 200.0, "walls": 4, "found": 4, "false": 0, "missing": [], "precision": 1.0, "offsets_in": [0.1],
+        "angles_deg": [0.1], "ends_in": [0.1], "z": [1.0], "seen": 1.0, "path_in": 0.2, "odometry_in": 9.0,
+        "refused": "", "seconds": 5.0, "true_map_in": 0.3, "own_map_in": 0.32,
+    }  # fmt: skip
+    return Score(trial, **{**sound, **values})
+
+
+def test_table_has_a_column_for_each_setup() -> None:
+    scores = [a_score(TRIAL), a_score(TRIAL._replace(setup="worn"), path_in=4.0, found=3)]
+    rows = {row[0]: row[1:] for row in table(scores)}
+    assert rows["requirement"] == ["required", "measured", "worn"]
+    assert rows["thesis_room, centre_vertex: runs with all walls"] == ["99 %", "1 of 1", "0 of 1"]
+    assert rows["runs with a path RMSE above 3 in"] == ["0", "0", "1"]
+
+
+def test_results_of_earlier_runs_are_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    score = a_score(TRIAL, missing=[[1.0, 2.0]])
+    (tmp_path / "earlier.json").write_text(json.dumps([asdict(score)]), encoding="utf-8")
+    assert read_scores(tmp_path / "earlier.json") == [score]
+    # The only trial was run already.
+    mapping.main(["--worlds", "thesis_room", "--seeds", "1", "--first", "1", "--add", str(tmp_path / "earlier.json"),
+                  "--out", str(tmp_path)])  # fmt: skip
+    assert "1 of 1" in capsys.readouterr().out
 
 
 @pytest.mark.long
