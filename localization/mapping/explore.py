@@ -61,10 +61,12 @@ FAN_RAD: Final = np.radians((-6.0, -3.0, 0.0, 3.0, 6.0))
 """Directions about the path of an echo that are free as well: half of the cone."""
 SHORTENED: Final = 0.95
 """Of the range, so far the sector is free."""
+CLEAR_IN: Final = 7.0
+"""Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
 MARGIN_IN: Final = 0.8
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side."""
 COMFORT_IN: Final = 4.0
-"""Space from which a path costs no more."""
+"""Space of places to look from, and of the last leg."""
 WALL_SHADOW_IN: Final = 5.0
 """Unknown cells this near to a wall are its own."""
 UNKNOWN_IN: Final = 4.0
@@ -85,6 +87,13 @@ VISITED_IN: Final = 7.0
 """A place nearer than this to the path has been visited."""
 REACH_CELLS_IN: Final = 6.0
 """A place is exchanged for the nearest cell within this distance that the robot can reach."""
+MIN_FREE_IN: Final = 1.2
+"""A leg that begins with less free distance is blocked at once."""
+ESCAPE_IN: Final = 8.0
+"""Then the robot drives away from what is near by this much."""
+AHEAD_IN: Final = 3.0
+"""Distance from the body to what blocked a leg."""
+MAX_REVISIONS: Final = 2
 START_LEG_IN: Final = 30.0
 START_TURN_IN: Final = 5.0
 """Of a first leg: a turn of 1 rad counts as 5 in."""
@@ -171,7 +180,8 @@ class Explorer:
         """Points at which something blocked a leg."""
         self._tried: list[Place] = []
         self._place: Place | None = None
-        self._goal: Point | None = None
+        self._is_blocked = False
+        self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = False
         self._pieces: list[Piece] = []
@@ -185,7 +195,13 @@ class Explorer:
     ) -> list[Point] | None:
         """Return the next path."""
         path = None if self._is_last else self._chosen_leg(clock_s, pose, mapper, free_in)
-        self._goal = path[-1] if path else None
+        was_blocked, self._is_blocked = self._is_blocked, False
+        if path and was_blocked and not self._is_last:
+            direction = float(np.arctan2(path[0][1] - pose[1], path[0][0] - pose[0]))
+            if free_in(direction) < MIN_FREE_IN:
+                # The same reading would block this leg as well: first away from what is near.
+                self._place = None
+                return self._free_leg(pose, free_in, ESCAPE_IN)
         return path
 
     def _chosen_leg(
@@ -193,11 +209,18 @@ class Explorer:
     ) -> list[Point] | None:
         # 1. At first where the sonars show the longest free distance, so that there is something to measure.
         if mapper.rounds < FIRST_ROUNDS:
-            return self._free_leg(pose, free_in)
-        grid = self._grid(mapper, pose)
+            first = self._free_leg(pose, free_in, START_LEG_IN)
+            self._free_directions.append(float(np.arctan2(first[0][1] - pose[1], first[0][0] - pose[0])))
+            return first
         path: list[Point] | None = None
-        if clock_s < self._time_limit_s - LAST_LEG_S:
-            path = self._next_path(grid, mapper, pose)
+        while clock_s < self._time_limit_s - LAST_LEG_S:
+            path = self._next_path(self._grid(mapper, pose), mapper, pose)
+            if path is not None or self._revisions == MAX_REVISIONS:
+                break
+            # Nothing left to do: with the map revised, and without what has blocked legs, there may be.
+            self._revisions += 1
+            mapper.revise()
+            self.blocked.clear()
         # 2. At the end a straight leg.
         if path is None:
             self._is_last = True
@@ -205,32 +228,27 @@ class Explorer:
             return self._last_leg(pose, mapper)
         return path
 
-    def _free_leg(self, pose: Floats, free_in: Callable[[float], float]) -> list[Point]:
+    def _free_leg(self, pose: Floats, free_in: Callable[[float], float], most_in: float) -> list[Point]:
         """Return a straight leg in the direction with the longest free distance, less a distance for the turn."""
         best, chosen = -np.inf, (0.0, 0.0)
         for turn in np.linspace(-np.pi, np.pi, 16, endpoint=False):
-            length = min(free_in(float(pose[2]) + float(turn)), START_LEG_IN)
+            length = min(free_in(float(pose[2]) + float(turn)), most_in)
             # Backwards is no turn.
             cost = START_TURN_IN * min(abs(turn), np.pi - abs(turn))
             been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_directions)
             if length - cost - 6.0 * been > best:
                 best, chosen = length - cost - 6.0 * been, (float(pose[2] + turn), length)
         direction, length = chosen
-        self._free_directions.append(direction)
         return [(float(pose[0]) + length * np.cos(direction), float(pose[1]) + length * np.sin(direction))]
 
-    def end_leg(self, pose: Floats, reason: str) -> None:
-        """Record what blocked a leg, and which place was tried."""
-        if self._place is not None:
-            goal: Point | None = (self._place.x_in, self._place.y_in)
-        else:
-            goal = self._goal
-        away = 0.0 if goal is None else hypot(goal[0] - pose[0], goal[1] - pose[1])
-        if reason and goal is not None and away > 0.0:
-            # Ahead of the body, towards the place, or towards the end of a leg that leads to none.
-            reach = (self._body_in + 3.0) / away
+    def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:
+        """Record what blocked a leg, ahead of the body, and which place was tried."""
+        self._is_blocked = bool(reason)
+        if reason:
+            reach = self._body_in + AHEAD_IN
             self.blocked.append((
-                float(pose[0]) + reach * (goal[0] - float(pose[0])), float(pose[1]) + reach * (goal[1] - float(pose[1]))
+                float(pose[0]) + reach * float(np.cos(direction_rad)),
+                float(pose[1]) + reach * float(np.sin(direction_rad)),
             ))  # fmt: skip
         if self._place is not None:
             self._tried.append(self._place)
@@ -275,7 +293,9 @@ class Explorer:
         grid.free |= self._image.distance_transform_edt(~own, sampling=CELL_IN) <= self._body_in
         # Slits between neighbouring echoes.
         grid.free |= self._image.binary_closing(grid.free, iterations=2)
-        # 3. Space to the walls, exact where it matters.
+        # 3. Space to the walls, exact where it matters. What blocked a leg where the robot has been is gone.
+        been = positions if len(positions) else pose[None, :2]
+        self.blocked = [point for point in self.blocked if np.hypot(*(been - point).T).min() > self._body_in]
         grid.walls = obstacles = np.concatenate((walls, self._blocks()))
         if len(obstacles):
             marks = np.zeros(grid.free.shape, dtype=np.bool_)
@@ -351,7 +371,7 @@ class Explorer:
                 return
             row, column = cells[np.hypot(*(grid.centres(cells) - pose[:2]).T).argmin()].tolist()
         # 2. Eight neighbours; narrow places cost more.
-        tight = np.clip((self._body_in + COMFORT_IN - grid.space) / COMFORT_IN, 0.0, 1.0)
+        tight = np.clip((self._body_in + CLEAR_IN - grid.space) / CLEAR_IN, 0.0, 1.0)
         price = CELL_IN * (1.0 + 2.0 * tight)
         number = np.arange(passable.size).reshape(passable.shape)
         ones, others, costs = [], [], []
@@ -476,7 +496,7 @@ class Explorer:
         points = np.concatenate((pose[None, :2], points[1:])) if len(points) > 1 else points
         walls = grid.walls
         if len(walls) and len(points) > 2:
-            points = pushed(points, walls, self._body_in + COMFORT_IN)
+            points = pushed(points, walls, self._body_in + CLEAR_IN)
         # 2. Straight lines as long as they leave as much space as the cells do.
         space = wall_distances(points, walls)
         path, at = [], 0
@@ -493,7 +513,7 @@ class Explorer:
         if not len(walls):
             return True
         line = np.concatenate((points[at], points[to]))[None]
-        needed = min(float(space[at : to + 1].min()) - 0.3, self._body_in + COMFORT_IN)
+        needed = min(float(space[at : to + 1].min()) - 0.3, self._body_in + CLEAR_IN)
         # A path around a corner must not be cut through what is unknown.
         off = points[at : to + 1]
         if nearest_points(off, line)[1].max() > self._body_in:

@@ -142,20 +142,24 @@ class MapLearner:
 
     def finish(self) -> None:
         """Revise the map with all echoes."""
-        estimate = self.estimate
         for _ in range(LAST_ROUNDS):
-            changed = find_births(estimate, 0)
-            estimate.associate()
-            estimate.optimize()
-            for revise in (join_points, merge, swallow, absorb_points, prune):
-                changed += revise(estimate)
-            tie_points(estimate)
-            estimate.optimize()
-            estimate.associate()
-            if not changed:
+            if not revise(self.estimate):
                 break
-        tie_points(estimate)
-        estimate.optimize(LAST_STEPS)
+        tie_points(self.estimate)
+        self.estimate.optimize(LAST_STEPS)
+
+
+def revise(estimate: MapEstimate) -> int:
+    """Add, join, merge and remove features by all echoes, optimize, and return the number of changes."""
+    changed = find_births(estimate, 0)
+    estimate.associate()
+    estimate.optimize()
+    for change in (join_points, merge, swallow, absorb_points, prune):
+        changed += change(estimate)
+    tie_points(estimate)
+    estimate.optimize()
+    estimate.associate()
+    return changed
 
 
 def update_features(estimate: MapEstimate, first_node: int) -> None:
@@ -243,7 +247,7 @@ def swallow(estimate: MapEstimate) -> int:
     swallowed = 0
     for wall in reversed(range(len(estimate.state.walls))):
         low, high = estimate.extents[wall]
-        if high - low > SWALLOW_IN or _have_ends(estimate)[wall]:
+        if high - low > SWALLOW_IN or _have_ends(estimate)[wall] or _are_spans(estimate)[wall]:
             continue
         trial = estimate.copy()
         segment = segments_of(trial.state.walls, trial.extents)[wall]

@@ -25,7 +25,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
 from localization.mapping.association import MapEstimate, align_heading, segments_of
-from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, update_features
+from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, revise, update_features
 from localization.mapping.measurements import (
     READINGS_PER_NODE,
     DriveCollector,
@@ -213,6 +213,13 @@ class LiveMapper:
         self.estimate, self._poses, self._groups = estimate, estimate.state.poses, trajectory.group
         self._encoders = trajectory.odometry[-1]
         self.rounds += 1
+
+    def revise(self) -> None:
+        """Revise the whole map once as at the end of a drive: points become walls, and false ones go."""
+        self.solve()
+        assert self.estimate is not None
+        revise(self.estimate)
+        self._poses = self.estimate.state.poses
 
     def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:
         """Return a map, or one that is learned from the beginning if that is cheaper.

@@ -140,8 +140,8 @@ class Driver(Protocol):
         """
         ...
 
-    def end_leg(self, pose: Floats, reason: str) -> None:
-        """Take note that a path has ended: at its end (""), or for a reason."""
+    def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:
+        """Take note that a path has ended: at its end (""), or for a reason that lies in a direction from the pose."""
         ...
 
 
@@ -164,7 +164,7 @@ class WaypointDriver:
         """Return the next waypoint."""
         return [self._waypoints[0]] if self._waypoints else None
 
-    def end_leg(self, pose: Floats, reason: str) -> None:  # noqa: ARG002
+    def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:  # noqa: ARG002
         """Go on with the waypoint after it."""
         point = self._waypoints.pop(0)
         if reason:
@@ -246,7 +246,7 @@ class _Motion:
                 return f"touched something {MAX_CONTACTS} times"
             limit_s = elapsed_s + 3.0 * BACK_OFF_IN / BACK_OFF_IN_S
             self._back_off = BackOff(self._back_off_speed_in_s(encoders), encoders.tolist(), limit_s, BACK_OFF_IN)
-            self._give_up(pose, "contact")
+            self._give_up(pose, "contact", pi if self._speed_in_s < 0.0 else 0.0)
         if self._back_off is not None:
             back_off = self._back_off.command(elapsed_s, encoders.tolist())
             if back_off is not None:
@@ -290,10 +290,10 @@ class _Motion:
         here, *ahead = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
         return bool(here < KNOWN_IN and min(ahead) > GAP_SPACE_IN)
 
-    def _give_up(self, pose: Floats, reason: str) -> None:
+    def _give_up(self, pose: Floats, reason: str, back_rad: float) -> None:
         if self._leg is not None:
             self._leg = None
-            self._driver.end_leg(pose, reason)
+            self._driver.end_leg(pose, reason, float(pose[2]) + back_rad)
 
     def _guarded(
         self, command: VelocityCommand, elapsed_s: float, encoders: Floats, pose: Floats, mapper: LiveMapper
@@ -328,7 +328,7 @@ class _Motion:
             if elapsed_s - self._blocked_s > BLOCKED_S:
                 where = f"({pose[0]:.1f}, {pose[1]:.1f}) in {degrees(pose[2] + back):.0f} deg"
                 self.log.notes.append((elapsed_s, f"blocked at {where}"))
-                self._give_up(pose, "blocked")
+                self._give_up(pose, "blocked", back)
             return STAND
         self._blocked_s = inf
         fraction = min(1.0, allowed / abs(speed))

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.mapping.explore import CELL_IN, Explorer, Grid, _corner_places, pushed
+from localization.mapping.association import MapEstimate
+from localization.mapping.explore import CELL_IN, Explorer, Grid, _corner_places, _Finished, pushed
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import read_drive
 from localization.mapping.walls import Piece
@@ -60,14 +61,64 @@ def test_band_is_pushed_to_the_middle_of_a_gap() -> None:
     np.testing.assert_allclose(found[[0, -1]], points[[0, -1]])
 
 
-def test_what_blocks_a_first_leg_lies_ahead_of_the_body() -> None:
-    class NoMap:
-        rounds = 0
+class NoMap:
+    """A mapper before its first solution."""
 
+    rounds = 0
+
+
+def test_what_blocks_a_leg_lies_ahead_of_the_body() -> None:
     explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
     explorer.leg(1.0, pose, cast("LiveMapper", NoMap()), lambda way: 30.0 if abs(way) < 0.1 else 5.0)
-    explorer.end_leg(pose, "blocked")
-    np.testing.assert_allclose(explorer.blocked, [(10.0 + BODY_IN + 3.0, 20.0)], atol=1e-9)
+    explorer.end_leg(pose, "blocked", np.pi / 2.0)
+    np.testing.assert_allclose(explorer.blocked, [(10.0, 20.0 + BODY_IN + 3.0)], atol=1e-9)
+
+
+def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.MonkeyPatch) -> None:
+    explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
+    monkeypatch.setattr(explorer, "_chosen_leg", lambda *_: [(30.0, 20.0)])
+
+    def free_in(way: float) -> float:
+        return 40.0 if np.cos(way - 2.75) > 0.99 else 0.0
+
+    mapper = cast("LiveMapper", NoMap())
+    assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
+    explorer.end_leg(pose, "blocked", 0.0)
+    ((x, y),) = explorer.leg(1.0, pose, mapper, free_in) or []
+    np.testing.assert_allclose((x - 10.0, y - 20.0), 8.0 * np.array((np.cos(2.75), np.sin(2.75))), atol=0.1)
+    # Once: whatever blocks then is the map's.
+    explorer.end_leg(pose, "", 0.0)
+    assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
+
+
+def test_exploration_goes_on_with_a_revised_map_before_it_ends(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Mapper(_Finished):
+        rounds, revisions = 9, 0
+
+        def revise(self) -> None:
+            self.revisions += 1
+
+    explorer, mapper = Explorer(BODY_IN, 6.0, 300.0), Mapper(estimate)
+    pose = mapper.poses[-1]
+    found: list[list[tuple[float, float]] | None] = [None, [(5.0, 5.0)], None, None]
+    monkeypatch.setattr(explorer, "_next_path", lambda *_: found.pop(0))
+    explorer.end_leg(pose, "blocked", 0.0)
+    assert explorer.leg(100.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) == [(5.0, 5.0)]
+    assert (mapper.revisions, explorer.blocked) == (1, [])
+    # The second time there is nothing left: the last leg, and the end.
+    assert explorer.leg(110.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) is not None
+    assert (mapper.revisions, found) == (2, [])
+    assert explorer.leg(120.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) is None
+
+
+def test_what_blocked_a_leg_is_gone_where_the_robot_has_been(estimate: MapEstimate) -> None:
+    explorer, finished = Explorer(BODY_IN, 6.0, 300.0), _Finished(estimate)
+    x, y = finished.poses[len(finished.poses) // 2, :2].tolist()
+    explorer.blocked = [(x + 1.0, y), (300.0, 300.0)]
+    explorer.unexplored(estimate)
+    assert explorer.blocked == [(300.0, 300.0)]
 
 
 def test_corners_are_measured_from_between_their_walls() -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.mapping import walls
+from localization.mapping import association, learn, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import join_points, prune
+from localization.mapping.learn import join_points, prune, swallow
 from localization.mapping.walls import extract_walls, free_paths, pass_through, uncrossed_spans
 
 
@@ -37,6 +37,22 @@ def test_points_without_sound_between_them_are_a_wall(opened: MapEstimate) -> No
     (wall,) = (piece for piece in extract_walls(opened) if np.abs(piece.ends[:, 1] + 25.0).max() < 1.0)
     assert wall.ends[:, 0].min() < 11.0
     assert wall.ends[:, 0].max() > 49.0
+
+
+@pytest.mark.parametrize("stops_sound", [True, False])
+def test_wall_that_stops_sound_is_no_point(
+    opened: MapEstimate, monkeypatch: pytest.MonkeyPatch, stops_sound: bool
+) -> None:
+    join_points(opened)
+    # As if a point were always cheaper.
+    monkeypatch.setattr(learn, "SWALLOW_IN", np.inf)
+    monkeypatch.setitem(association.PENALTY, "wall", 1e6)
+    monkeypatch.setattr(learn, "_have_ends", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
+    if not stops_sound:
+        monkeypatch.setattr(learn, "_are_spans", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
+    swallow(opened)
+    south = np.array([[10.0, -25.0, 50.0, -25.0]])
+    assert pass_through(opened.state.walls, south, 1.0).any() == stops_sound
 
 
 def test_points_with_sound_between_them_are_none(estimate: MapEstimate) -> None:
