@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from math import hypot, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -28,7 +29,7 @@ import numpy as np
 from localization.experiments.execution import progress
 from localization.experiments.output import add_choice, add_shared, executor_for, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
-from localization.filters.belief import Floats, independent, wrap_angle
+from localization.filters.belief import HEADING, Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.assumptions import RING_SETUPS
 from localization.live.localizer import Localizer
@@ -277,10 +278,12 @@ def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
         is_bad = measured & (rng.random(len(readings)) < BAD_FRACTION)
         readings[is_bad] = rng.uniform(MIN_ECHO_IN, NO_ECHO_IN, int(is_bad.sum()))
     elif disturbance == WHEELS:
-        steps = relative_pose(encoders[:-1, 1:4], encoders[1:, 1:4])
         turret = wrap_angle(encoders[:, 4] - encoders[:, 3])
-        for row, step in enumerate(steps * (DISTANCE_SCALE, DISTANCE_SCALE, TURN_SCALE)):
-            encoders[row + 1, 1:4] = compose(encoders[row, 1:4], step)
+        scales = np.array((DISTANCE_SCALE, DISTANCE_SCALE, TURN_SCALE))
+        for row, (one, other) in enumerate(pairwise(log.encoders[:, 1:4])):
+            step = relative_pose(one, other)
+            step[HEADING] = wrap_angle(step[HEADING])
+            encoders[row + 1, 1:4] = compose(encoders[row, 1:4], scales * step)
         encoders[:, 4] = encoders[:, 3] + turret
     return replace(log, encoders=encoders, readings_in=np.clip(np.round(readings), MIN_ECHO_IN, NO_ECHO_IN))
 
