@@ -144,17 +144,20 @@ class KalmanFilter:
         middle_in: tuple[float, float] = (0.0, 0.0),
         limits: HealthLimits | None = None,
     ) -> None:
-        # The state: `size` coordinates of pose and odometry parameters, then the range parameters, which are constant.
-        self._x, self._P = unpack(with_constants(belief, range_stds))
-        self._size, self._constants, self._middle_in = len(belief.mean), len(range_stds), middle_in
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
+        self._odometric = measurement.odometric
+        """The model, where it relates an echo to earlier ones and so needs each step: walls with levels."""
+        # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
+        # walls, and the range parameters.
+        constant_stds = (*(self._odometric.level_stds if self._odometric else ()), *range_stds)
+        self._x, self._P = unpack(with_constants(belief, constant_stds))
+        self._size, self._constants, self._middle_in = len(belief.mean), len(constant_stds), middle_in
+        self._has_scale = bool(range_stds)
         # The path of the echoes, as in the table at the head of this file.
         self._direct = measurement.direct if prediction is predict_state else None
         """The model, where `filter_ring` takes a whole ring by it; None: `process_each`, one by one."""
         self._compiled = compiled.ring(filter_ring, self._direct, odometry)
         """`filter_ring` as machine code, where that is wanted; None: as plain Python."""
-        self._odometric = measurement.odometric
-        """The model, where it relates an echo to earlier ones and so needs each step: walls with levels."""
         self._correlated = CorrelatedReadings(as_array=self._compiled is not None)
         # The monitor of the estimate, and the outcomes that it judges by.
         self._monitor = IntegrityMonitor(limits)
@@ -244,7 +247,7 @@ class KalmanFilter:
         if lag != NO_LAG:
             widen(x, P, lag)
         # 3. Away from the middle; the scale is the last range parameter.
-        if self._constants:
+        if self._has_scale:
             scale, (middle_x, middle_y) = self._x[-1], self._middle_in
             add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
         # 4. Along the heading: the mean square of the displacement.

@@ -36,8 +36,8 @@ class Reflectors:
         (m, 2) unit vectors from the first ends, and (m,).
     normals
         (m, 2), to the left of them.
-    vertices, square
-        (v, 2), and (v,) True for square corners.
+    vertices, square, free
+        (v, 2), and (v,) True for square corners and for free ends, where one wall ends and no other begins.
     """
 
     walls: Floats
@@ -47,6 +47,7 @@ class Reflectors:
     lengths: Floats
     vertices: Floats
     square: Mask
+    free: Mask
 
     @property
     def count(self) -> int:
@@ -63,6 +64,7 @@ class Reflectors:
             self.lengths[walls],
             self.vertices[vertices],
             self.square[vertices],
+            self.free[vertices],
         )
 
 
@@ -82,9 +84,11 @@ def reflectors(segments: npt.ArrayLike) -> Reflectors:
     angles = {point: _angle_between(leaving) for point, leaving in directions.items()}
     points = [point for point, angle in angles.items() if abs(angle - np.pi) >= STRAIGHT_RAD]
     square = [abs(angles[point] - np.pi / 2.0) <= SQUARE_RAD for point in points]
+    free = [len(directions[point]) == 1 for point in points]
     normals = np.stack((-along[:, 1], along[:, 0]), axis=-1)
     vertices = np.array(points, dtype=np.float64).reshape(-1, 2)
-    return Reflectors(walls, walls[:, :2], along, normals, lengths, vertices, np.array(square, dtype=np.bool_))
+    masks = (np.array(mask, dtype=np.bool_) for mask in (square, free))
+    return Reflectors(walls, walls[:, :2], along, normals, lengths, vertices, *masks)
 
 
 def _angle_between(directions_rad: list[float]) -> float:

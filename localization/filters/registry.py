@@ -32,7 +32,7 @@ from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
-from localization.filters.surface import SurfaceModel
+from localization.filters.surface import SurfaceModel, SurfaceUpdate
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 from nclient.common.hints import suggest
 
@@ -183,9 +183,9 @@ def _kalman(
     stds = config.range_stds or ()
     measurement, limits = _measurement(config, rule, len(stds)), _LIMITS
     if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
-        # It stores echoes: one for each filter.
+        # It stores where echoes were: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
-        measurement, limits = MeasurementUpdate(SurfaceModel(cone)), BUILDING
+        measurement, limits = SurfaceUpdate(SurfaceModel(cone)), BUILDING
     return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), limits)
 
 

@@ -349,7 +349,12 @@ class ConeModel:
     def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar, range_parameters: int = 0) -> None:
         self.walls, self.noise = wall_map(walls), sonar
         self.mounts = body.ring.mounts
-        self._around = around = reflectors(self.walls.segments)
+        around = reflectors(self.walls.segments)
+        if sonar.surface_std_in:
+            # A free end of a wall on the map of a building is often only the end of what was mapped: an echo off a post
+            # or a door frame that is taken for it puts the robot off along the wall.
+            around = around.some(np.full(len(around.walls), fill_value=True), ~around.free)
+        self._around = around
         losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
         self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
         self.vertices = np.column_stack((around.vertices, losses)).tolist()

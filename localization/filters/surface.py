@@ -3,60 +3,75 @@
 A door stands back over its whole width, and a pillar stands out. A filter that takes successive echoes of a wall for
 independent then becomes sure of a wrong position. Here the surface of a wall is at a level that stays for an
 exponentially distributed length and is then drawn anew: two echoes of one wall, d inches of driving apart, are on the
-same level with probability exp(-d / length), the correlation of their errors. An echo has two hypotheses for a wall:
+same level with probability exp(-d / length), the correlation of their errors. The levels of the walls that were
+measured last are states of the filter. An echo has two hypotheses for a wall:
 
-    same level    z = h(x) + (z' - h(x'))        R = r + r'         probability exp(-d / length)
-    new level     z = h(x)                       R = r + std^2      the rest
+    same level    z = h(x) + b        b, the level of this wall so far         probability exp(-d / length)
+    new level     z = h(x) + b'       b', drawn from N(0, std^2)               the rest
 
-with z' the last echo of that wall, x' the pose then, by odometry from the pose x now, and r, r' the variances of the
-two readings. The first is the measurement difference by which correlated noise is made white; its derivative is
-H - H' dx'/dx. `update.pda_update` weighs both. A robot that stands learns nothing from more echoes: H = H' dx'/dx.
+each with the variance r of the reading. Both are weighed by their probability, and merged into one Gaussian in which
+the wall's level is b or b'. A first echo measures the position to r + std^2; all echoes of one level together measure
+it no better than to std^2, but the heading, by how the range changes along the level, to the few millimetres of a
+smooth wall. A robot that stands learns nothing more from more echoes.
+
+The filter's state is: pose and odometry parameters, MAX_LEVELS levels, b', range parameters.
 
 References
 ----------
-Bryson, Henrikson, Estimation using sampled data containing sequentially correlated noise (1968): measurement
-differencing. Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), chapter 8
-(autocorrelated measurement noise) and chapter 11 (jumps as hypotheses).
+Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 8.2.3
+(autocorrelated measurement noise as states) and section 11.6 (jumps as hypotheses, merged into one Gaussian).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import exp, hypot
-from typing import Final, NamedTuple
+from typing import Final
+
+import numpy as np
 
 from localization.filters.belief import HEADING, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, ConeSonar, arm_of, detectable, range_jacobian
+from localization.filters.sonar_cone import ConeModel, ConeSonar, detectable
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     NONE,
     OUTLIER_THRESHOLD,
     REFUSALS,
     Association,
+    Correction,
     Covariance,
+    MeasurementUpdate,
     Refusal,
     State,
+    UpdateResult,
+    association_probabilities,
     expected_reading,
+    forward_slope,
+    gate_code,
     kalman_gain,
+    linear,
     mount_at,
 )
-from worlds.rings import SonarMount
 
 MAX_NIS: Final = 16.0
 """An echo within four standard deviations of a wall on a new level is taken for one of it."""
+MAX_LEVELS: Final = 6
+"""Walls whose level is a state: a ring measures few walls at a time, and the cost grows with the square."""
+LEVEL_STATES: Final = MAX_LEVELS + 1
+"""Coordinates of the state for the levels, and for the level that a wall may change to."""
 
 
-class LastEcho(NamedTuple):
-    """The last echo of a reflector: pose by odometry, sonar (its direction from the heading), and reading."""
+class _Level:
+    """The level of a reflector: its number among the levels of the state, and where its last echo was measured."""
 
-    x_in: float
-    y_in: float
-    heading_rad: float
-    mount: SonarMount
-    reading_in: float
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.x_in = self.y_in = 0.0
+        self.echo = 0
 
 
 class SurfaceModel:
-    """Measurement model of cones among walls with a surface, for one filter: it stores the last echo of each wall.
+    """Measurement model of cones among walls with a surface, for one filter: the state has the levels of its walls.
 
     Parameters
     ----------
@@ -66,14 +81,23 @@ class SurfaceModel:
 
     def __init__(self, cone: ConeModel) -> None:
         self._cone, self._walls = cone, len(cone.faces)
-        self._last: dict[int, LastEcho] = {}
+        self._levels: dict[int, _Level] = {}
+        """By the number of the reflector."""
+        self._echoes = 0
         self._x = self._y = self._heading = 0.0
         """Pose by odometry, from where the filter began."""
+        self._hypotheses: list[tuple[int, bool]] = []
+        """Of the last association: reflector of each hypothesis, True for a new level."""
 
     @property
     def noise(self) -> ConeSonar:
         """Parameters of the sonars and of the surface."""
         return self._cone.noise
+
+    @property
+    def level_stds(self) -> tuple[float, ...]:
+        """Prior standard deviations of the levels in the state, inches."""
+        return (self.noise.surface_std_in,) * LEVEL_STATES
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step: the distance and the turn that the odometry parameters make of the reported one."""
@@ -90,56 +114,117 @@ class SurfaceModel:
         full of small things, and echoes of them say nothing of the pose. Nor does a missing edge: the end of a wall on
         the map is often only the end of what was mapped.
         """
-        noise, mount = self.noise, mount_at(self._cone.mounts, sonar, turret_offset_rad)
+        noise, range_parameters = self.noise, self._cone.range_parameters
+        mount = mount_at(self._cone.mounts, sonar, turret_offset_rad)
         refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self._cone)
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
         expected, derivatives, variances, probabilities = [], [], [], []
-        nearest_nis, nearest = MAX_NIS, -1
+        self._hypotheses, nearest_nis = [], MAX_NIS
+        first = len(x) - range_parameters - LEVEL_STATES
         for candidate in candidates:
-            # 1. A new level.
+            # 1. The reading if the wall were where the map says, and its derivative but for the levels.
             variance = range_variance(noise, candidate.range_in)
-            reading, H = expected_reading(x, candidate.range_in, candidate.H, self._cone.range_parameters)
-            R = variance + noise.surface_std_in**2
-            nis = (reading_in - reading) ** 2 / kalman_gain(P, H, R)[1]
-            if nis <= nearest_nis:
-                nearest_nis, nearest = nis, candidate.reflector
-            # 2. The level of the last echo.
-            last, same = self._last.get(candidate.reflector), 0.0
-            if last:
-                away_in = hypot(self._x - last.x_in, self._y - last.y_in)
-                same = exp(-away_in / noise.surface_length_in)
-                before, H_before = self._reading_then(x, candidate.reflector, last)
-                expected.append(reading + last.reading_in - before)
-                derivatives.append([one - other for one, other in zip(H, H_before, strict=True)])
-                variances.append(variance + range_variance(noise, last.reading_in))
-                probabilities.append(candidate.probability * same)
-            expected.append(reading)
-            derivatives.append(H)
-            variances.append(R)
-            probabilities.append(candidate.probability * (1.0 - same))
-        # 3. The reflector of this echo, if any.
-        if nearest >= 0:
-            self._last[nearest] = LastEcho(self._x, self._y, self._heading, mount, reading_in)
-        elif sum(one.probability for one in candidates if one.reflector < self._walls) < OUTLIER_THRESHOLD:
+            reading, H = expected_reading(x, candidate.range_in, candidate.H, range_parameters)
+            hypotheses = [(MAX_LEVELS, 1.0)]
+            # 2. The level of the last echo, if there was one.
+            if level := self._levels.get(candidate.reflector):
+                same = exp(-hypot(self._x - level.x_in, self._y - level.y_in) / noise.surface_length_in)
+                hypotheses = [(level.number, same), (MAX_LEVELS, 1.0 - same)]
+            for number, probability in hypotheses:
+                of_levels = [0.0] * LEVEL_STATES
+                of_levels[number] = 1.0
+                expected.append(reading + x[first + number])
+                derivatives.append([*H[:3], *of_levels, *H[3:]])
+                variances.append(variance)
+                probabilities.append(candidate.probability * probability)
+                self._hypotheses.append((candidate.reflector, number == MAX_LEVELS))
+            nis = (reading_in - reading) ** 2 / kalman_gain(P, derivatives[-1], variance)[1]
+            nearest_nis = min(nearest_nis, nis)
+        of_walls = sum(one.probability for one in candidates if one.reflector < self._walls)
+        if nearest_nis >= MAX_NIS and of_walls < OUTLIER_THRESHOLD:
             return Association(Refusal.NO_WALL, noise.outlier_density)
         return Association(
-            Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(expected), probabilities, None,
+            Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances), probabilities, None,
             noise.outlier_probability, noise.outlier_density,
         )  # fmt: skip
 
-    def _reading_then(self, x: State, reflector: int, last: LastEcho) -> tuple[float, list[float]]:
-        """Return the reading that x expects of a reflector at the pose of its last echo, and its derivative by x."""
-        # 1. The pose then from the pose now, by odometry; x' = x (+) (ahead, left, turn).
-        cosine, sine = unit_vector(self._heading)
-        back_x, back_y = last.x_in - self._x, last.y_in - self._y
-        ahead, left = cosine * back_x + sine * back_y, cosine * back_y - sine * back_x
-        cosine, sine = unit_vector(x[HEADING])
-        east, north = cosine * ahead - sine * left, sine * ahead + cosine * left
-        heading = x[HEADING] + last.heading_rad - self._heading
-        # 2. The range then.
-        arm_x, arm_y = arm_of(last.mount, *unit_vector(heading + last.mount.direction_rad))
-        range_in, to_x, to_y = self._cone.toward(x[0] + east + arm_x, x[1] + north + arm_y, reflector)
-        # 3. H' dx'/dx: turning now swings the pose then about the robot.
-        H = range_jacobian(to_x, to_y, east + arm_x, north + arm_y)
-        return expected_reading(x, range_in, H, self._cone.range_parameters)
+    def merge(self, x: State, P: Covariance, corrections: Sequence[Correction], beta: Sequence[float]) -> None:
+        """Replace x and P by the mean and covariance of the mixture of all hypotheses, in place.
+
+        As steps 4 and 5 of `update.pda_update`, but a hypothesis with a new level first gives it to its wall: the
+        coordinate of the wall's level is then that of b'.
+
+        Parameters
+        ----------
+        corrections
+            Of the k hypotheses of the last association.
+        beta
+            Their probabilities and last that of an outlier (k + 1,).
+        """
+        first = len(x) - self._cone.range_parameters - LEVEL_STATES
+        fresh, variance = first + MAX_LEVELS, self.noise.surface_std_in**2
+        # 1. The most probable reflector, and where its level is among the coordinates.
+        of_reflector: dict[int, float] = {}
+        for (reflector, _), probability in zip(self._hypotheses, beta, strict=False):
+            of_reflector[reflector] = of_reflector.get(reflector, 0.0) + probability
+        best = max(of_reflector, key=of_reflector.__getitem__)
+        is_of_it, is_known = of_reflector[best] > OUTLIER_THRESHOLD, best in self._levels
+        # 2. For each hypothesis the coordinates of the filter that become those of the next state.
+        sources = np.tile(np.arange(len(x)), (len(beta), 1))
+        if is_known:
+            is_new = [*(one == (best, True) for one in self._hypotheses), False]
+            sources[is_new, first + self._levels[best].number] = fresh
+        elif is_of_it:
+            self._levels[best] = _Level(self._free_number())
+            sources[:, first + self._levels[best].number] = fresh
+        if is_of_it:
+            self._echoes += 1
+            level = self._levels[best]
+            level.x_in, level.y_in, level.echo = self._x, self._y, self._echoes
+        # 3. Means m_j = x + dx_j, an outlier's is x; covariances P - K_j S_j K_j^T.
+        dx = np.array([*(one.dx for one in corrections), [0.0] * len(x)])
+        means = np.take_along_axis(np.array(x) + dx, sources, axis=1)
+        weights, prior = np.array(beta), np.array(P)
+        mean = weights @ means
+        cov = (means - mean).T @ (weights[:, None] * (means - mean))
+        for j, source in enumerate(sources):
+            cov += beta[j] * prior[source[:, None], source]
+            if j < len(corrections):
+                K = np.array(corrections[j].K)[source]
+                cov -= beta[j] * corrections[j].S * (K[:, None] * K)
+        # 4. The next new level is independent of everything.
+        mean[fresh] = cov[fresh] = cov[:, fresh] = 0.0
+        cov[fresh, fresh] = variance
+        x[:], P[:] = mean.tolist(), cov.tolist()
+        x[HEADING] = wrap_angle(x[HEADING])
+
+    def _free_number(self) -> int:
+        """Return the number of a level that no reflector has, if need be of that which was measured least recently."""
+        if len(self._levels) < MAX_LEVELS:
+            return len(self._levels)
+        oldest = min(self._levels, key=lambda reflector: self._levels[reflector].echo)
+        return self._levels.pop(oldest).number
+
+
+class SurfaceUpdate(MeasurementUpdate):
+    """The update by a `SurfaceModel`, whose levels change with the echoes."""
+
+    def __init__(self, model: SurfaceModel) -> None:
+        super().__init__(model)
+        self._surface = model
+
+    def apply(
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
+    ) -> UpdateResult:
+        """Correct x and P in place by a reading; see `MeasurementUpdate.apply`."""
+        association = self._surface.associate(x, P, sonar, turret_offset_rad, reading_in)
+        if association.refusal is not Refusal.NONE:
+            return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
+        slopes = [forward_slope(H, *unit_vector(x[HEADING])) for H in association.H]
+        corrections = linear(x, P, reading_in, association, association.R)
+        beta, likelihood, best = association_probabilities(association, corrections)
+        if count == 1:  # the error of a repeated reading is that of the first: it adds nothing
+            self._surface.merge(x, P, corrections, beta)
+        _, _, innovation_in, nis, _ = corrections[best]
+        return UpdateResult(REFUSALS[gate_code(beta[-1])], innovation_in, nis, beta[-1], likelihood, slopes[best])

@@ -224,6 +224,11 @@ class DirectModel(MeasurementModel, Protocol):
 class OdometricModel(MeasurementModel, Protocol):
     """A model that relates echoes to earlier ones, in buildings full of things that the map does not have."""
 
+    @property
+    def level_stds(self) -> tuple[float, ...]:
+        """Return the prior standard deviations of its own coordinates of the state, before the range parameters."""
+        ...
+
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the robot."""
         ...
@@ -458,6 +463,30 @@ class PdaResult(NamedTuple):
     best: int
 
 
+def association_probabilities(
+    association: Association, corrections: Sequence[Correction]
+) -> tuple[list[float], float, int]:
+    """Return beta, likelihood and best of `PdaResult`: prior probability times likelihood, normalised.
+
+    An echo of none of the reflectors is an outlier as well.
+    """
+    inlier, outlier, likelihood, best = 1.0 - association.outlier_probability, 1.0, 0.0, -1
+    beta = [0.0 for _ in corrections]
+    for j, correction in enumerate(corrections):
+        prior = inlier * association.probability[j]
+        beta[j] = prior * exp(-0.5 * correction.nis) / sqrt(2.0 * pi * correction.S)
+        likelihood, outlier = likelihood + beta[j], outlier - prior
+        if best < 0 or beta[j] > beta[best]:
+            best = j
+    beta.append(association.outlier_density * outlier)
+    if len(corrections) == 1 and not association.outlier_density:
+        beta = [1.0, 0.0]  # certain, however improbable
+    else:
+        likelihood += beta[-1]
+        beta = [one / likelihood for one in beta]
+    return beta, likelihood, best
+
+
 def pda_update(
     x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1
 ) -> PdaResult:
@@ -479,21 +508,8 @@ def pda_update(
     """
     # 1. K, S and innovation of each hypothesis.
     corrections = rule(x, P, reading_in, association, association.R)
-    # 2. beta: prior probability times likelihood, normalised. An echo of none of the reflectors is an outlier as well.
-    inlier, outlier, likelihood, best = 1.0 - association.outlier_probability, 1.0, 0.0, -1
-    beta = [0.0 for _ in corrections]
-    for j, correction in enumerate(corrections):
-        prior = inlier * association.probability[j]
-        beta[j] = prior * exp(-0.5 * correction.nis) / sqrt(2.0 * pi * correction.S)
-        likelihood, outlier = likelihood + beta[j], outlier - prior
-        if best < 0 or beta[j] > beta[best]:
-            best = j
-    beta.append(association.outlier_density * outlier)
-    if len(corrections) == 1 and not association.outlier_density:
-        beta = [1.0, 0.0]  # certain, however improbable
-    else:
-        likelihood += beta[-1]
-        beta = [one / likelihood for one in beta]
+    # 2. beta_j.
+    beta, likelihood, best = association_probabilities(association, corrections)
     innovation_in, nis = nan, nan
     if best >= 0:
         innovation_in, nis = corrections[best].innovation, corrections[best].nis

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from localization.filters.base import LocalizationConfig
-from localization.filters.belief import independent
+from localization.filters.belief import Belief, independent, unpack, with_constants
 from localization.filters.ekf import KalmanFilter
 from localization.filters.health import HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import BUILDING_SONAR, ConeModel, ConeSonar
-from localization.filters.surface import SurfaceModel
-from localization.filters.update import MeasurementUpdate, Refusal
+from localization.filters.surface import LEVEL_STATES, MAX_LEVELS, SurfaceModel, SurfaceUpdate
+from localization.filters.update import Refusal
 from worlds.rings import Ring
 from worlds.robots import N150, Body
 
@@ -35,20 +35,25 @@ def surface_filter(
     return made
 
 
+def with_levels(x: list[float], range_parameters: int) -> tuple[list[float], list[list[float]]]:
+    """Return a state with the levels and the range parameters after the pose, and its covariance."""
+    stds = [SONAR.surface_std_in] * LEVEL_STATES + [0.5, 0.02][:range_parameters]
+    state, cov = unpack(with_constants(Belief(np.array(x), np.array(P)), stds))
+    return state, cov
+
+
 @pytest.mark.parametrize("range_parameters", [0, 2])
 def test_derivatives_are_finite_differences(range_parameters: int) -> None:
-    x = [3.0, 2.0, 0.2, *[0.3, 0.01][:range_parameters]]
+    x, cov = with_levels([3.0, 2.0, 0.2], range_parameters)
+    x[len(x) - range_parameters :] = [0.3, 0.01][:range_parameters]
     model = SurfaceModel(ConeModel(WALL, N150, SONAR, range_parameters))
-    model.associate(x, P, LEFT, 0.0, 29.0)
+    SurfaceUpdate(model).apply(x, cov, LEFT, 0.0, 29.0)
     model.move(4.0, 0.1)
 
     def expected(state: list[float]) -> list[float]:
-        again = SurfaceModel(ConeModel(WALL, N150, SONAR, range_parameters))
-        again.associate(x, P, LEFT, 0.0, 29.0)
-        again.move(4.0, 0.1)
-        return list(again.associate(state, P, LEFT, -0.05, 28.5).ranges_in)
+        return list(model.associate(state, cov, LEFT, -0.05, 28.5).ranges_in)
 
-    found = model.associate(x, P, LEFT, -0.05, 28.5)
+    found = model.associate(x, cov, LEFT, -0.05, 28.5)
     assert len(found.H) == 2
     for column in range(len(x)):
         step = 1e-5
@@ -60,12 +65,96 @@ def test_derivatives_are_finite_differences(range_parameters: int) -> None:
 def test_probabilities_follow_the_distance() -> None:
     """Oracle: exp(-distance / length) on the same level, the rest on a new one."""
     model = SurfaceModel(ConeModel(WALL, N150, replace(SONAR, surface_length_in=20.0)))
-    x = [0.0, 0.0, 0.0]
-    alone = model.associate(x, P, LEFT, 0.0, 30.9).probability[0]
+    x, cov = with_levels([0.0, 0.0, 0.0], 0)
+    alone = model.associate(x, cov, LEFT, 0.0, 30.9).probability[0]
+    SurfaceUpdate(model).apply(x, cov, LEFT, 0.0, 30.9)
     model.move(5.0, 0.0)
-    same, new = model.associate([5.0, 0.0, 0.0], P, LEFT, 0.0, 30.9).probability
-    assert same / alone == pytest.approx(np.exp(-0.25))
-    assert same + new == pytest.approx(alone)
+    same, new = model.associate([5.0, *x[1:]], cov, LEFT, 0.0, 30.9).probability
+    assert same / new == pytest.approx(np.exp(-0.25) / (1.0 - np.exp(-0.25)))
+    assert same + new == pytest.approx(alone, rel=1e-3)
+
+
+def test_the_update_is_the_posterior_over_both_levels() -> None:
+    """Oracle: weighted samples of the position and of both levels, for a reading that either may explain."""
+    sonar = replace(SONAR, outlier_probability=0.2, cone_loss_db=0.0, margin_db=200.0)
+    x, cov = with_levels([0.0, 0.0, 0.0], 0)
+    cov[0][0] = cov[2][2] = 0.0
+    for other in range(len(x)):
+        if other != 1:
+            cov[1][other] = cov[other][1] = 0.0
+    model = SurfaceModel(ConeModel(WALL, N150, sonar))
+    update = SurfaceUpdate(model)
+    update.apply(x, cov, LEFT, 0.0, 31.5)
+    model.move(10.0, 0.0)
+    level, same = 3, np.exp(-10.0 / sonar.surface_length_in)
+    # 1. Samples of y, level and new level, each with the level that follows, and an outlier.
+    rng = np.random.default_rng(1)
+    y, b = rng.multivariate_normal([x[1], x[level]], np.array(cov)[np.ix_([1, level], [1, level])], 400_000).T
+    new = sonar.surface_std_in * rng.standard_normal(len(y))
+    reading, ring_in = 33.2, N150.sonar_ring_radius_in
+    r = (sonar.range_std_relative * (40.0 - x[1] - ring_in)) ** 2
+
+    def density(expected: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(-0.5 * (reading - expected) ** 2 / r) / np.sqrt(2 * np.pi * r))
+
+    inlier = 1.0 - sonar.outlier_probability
+    weights = np.concatenate((
+        inlier * same * density(40.0 - y - ring_in + b),
+        inlier * (1.0 - same) * density(40.0 - y - ring_in + new),
+        np.full(len(y), sonar.outlier_probability * sonar.outlier_density),
+    ))  # fmt: skip
+    samples = np.stack((np.tile(y, 3), np.concatenate((b, new, b))))
+    # 2. The filter.
+    update.apply(x, cov, LEFT, 0.0, reading)
+    assert [x[1], x[level]] == pytest.approx(np.average(samples, axis=1, weights=weights), abs=0.02)
+    expected = np.cov(samples, aweights=weights)
+    assert np.array(cov)[np.ix_([1, level], [1, level])] == pytest.approx(expected, rel=0.03)
+
+
+def test_echoes_along_one_level_measure_the_heading() -> None:
+    """Oracle: least squares of all readings at once, for the lateral position, the heading and the level."""
+    rng = np.random.default_rng(3)
+    localizer = surface_filter(
+        [0.0] * 3, [0.0, 1.0, 0.05], WALL, surface_length_in=1e9, outlier_probability=0.0, range_std_relative=0.003
+    )
+    ring_in, level, heading, y = N150.sonar_ring_radius_in, 1.2, 0.01, -0.4
+    rows, readings = [], []
+    for k in range(1, 25):
+        localizer.predict(5.0, 0.0)
+        range_in = 40.0 - y - 5.0 * k * np.sin(heading) - ring_in * np.cos(heading)
+        r = 0.003 * range_in
+        readings.append((range_in + level + r * rng.standard_normal() - (40.0 - ring_in)) / r)
+        rows.append(np.array([-1.0, -5.0 * k, 1.0]) / r)
+        localizer.update(LEFT, 0.0, float(readings[-1] * r + 40.0 - ring_in))
+    prior = np.diag(1.0 / np.square([1.0, 0.05, SONAR.surface_std_in]))
+    cov = np.linalg.inv(prior + np.array(rows).T @ np.array(rows))
+    mean = cov @ (np.array(rows).T @ np.array(readings))
+    assert localizer.belief.mean[1] - 120.0 * np.sin(mean[1]) == pytest.approx(mean[0], abs=0.03)
+    assert localizer.belief.mean[2] == pytest.approx(mean[1], abs=0.1 * np.sqrt(cov[1, 1]))
+    assert localizer.belief.cov[2, 2] == pytest.approx(cov[1, 1], rel=0.05)
+
+
+def test_more_walls_than_levels_are_measured_in_turn() -> None:
+    angles = 2 * pi * np.arange(MAX_LEVELS + 4) / (MAX_LEVELS + 4)
+    corners = 60.0 * np.column_stack((np.cos(angles), np.sin(angles)))
+    walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
+    localizer = surface_filter([0.0, 0.0, 0.0], [0.5, 0.5, 0.01], walls, outlier_probability=0.1)
+    apothem = 60.0 * np.cos(pi / len(angles))
+    for _ in range(3):
+        for number in range(16):
+            localizer.predict(0.3, 0.0)
+            localizer.update(number, 0.0, apothem - N150.sonar_ring_radius_in)
+    state = localizer.state
+    assert len(state.mean) == 3 + LEVEL_STATES
+    assert np.linalg.eigvalsh(state.cov).min() > -1e-12
+    assert localizer.belief.std[0] < 0.5
+
+
+def test_free_ends_of_walls_are_no_reflectors_in_buildings() -> None:
+    """A corner of two walls is a reflector; a wall's end on a map may be the end of what was mapped."""
+    walls = np.array([[0.0, 0.0, 100.0, 0.0], [100.0, 0.0, 100.0, 50.0]])
+    assert [vertex[:2] for vertex in ConeModel(walls, N150, SONAR).vertices] == [[100.0, 0.0]]
+    assert len(ConeModel(walls, N150, replace(SONAR, surface_std_in=0.0)).vertices) == 3
 
 
 @pytest.mark.long
@@ -161,7 +250,7 @@ def test_limits_of_the_monitor_are_those_given() -> None:
     """A position known to 5 in along a corridor is good in a building, by its own limits."""
     start, std = [0.0, 0.0, 0.0], [5.0, 0.5, 0.01]
     assert surface_filter(start, std).health.status is HealthStatus.OK
-    measurement = MeasurementUpdate(SurfaceModel(ConeModel(CORRIDOR, N150, SONAR)))
+    measurement = SurfaceUpdate(SurfaceModel(ConeModel(CORRIDOR, N150, SONAR)))
     strict = KalmanFilter(independent(start, std), measurement, EXACT, limits=HealthLimits(max_std_in=4.0))
     assert strict.health.status is HealthStatus.DEGRADED
 
