@@ -275,7 +275,7 @@ def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
     if disturbance == OFFSETS:
         readings += np.where(measured, rng.normal(0.0, OFFSET_STD_IN, len(log.angles_rad))[log.sonars], 0.0)
     elif disturbance == READINGS:
-        is_bad = measured & (rng.random(len(readings)) < BAD_FRACTION)
+        is_bad = rng.random(len(readings)) < BAD_FRACTION
         readings[is_bad] = rng.uniform(MIN_ECHO_IN, NO_ECHO_IN, int(is_bad.sum()))
     elif disturbance == WHEELS:
         turret = wrap_angle(encoders[:, 4] - encoders[:, 3])
