@@ -31,7 +31,8 @@ from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from worlds.geometry import FloatArray
-from worlds.raycast import RAYCAST_KERNEL, cast_rays
+from worlds.raycast import NEAREST_OBSTACLE
+from worlds.raycast_arrays import cast_rays
 
 Result = dict[str, float | int | str]
 
@@ -77,7 +78,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
     step_s, cast_s = step_s / steps, cast_s / CASTS
     return {
         "setup": setup.name,
-        "compiled": RAYCAST_KERNEL.run is not None,
+        "compiled": NEAREST_OBSTACLE.is_compiled,
         "walls": len(simulation.world.walls),
         "steps_per_s": round(1.0 / step_s),
         "step_us": round(step_s * 1e6, 1),
@@ -98,7 +99,7 @@ def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": RAYCAST_KERNEL.run is not None,
+        "compiled": NEAREST_OBSTACLE.is_compiled,
         "times_real_time": round(simulated_s / run_s, 2),
         "us_a_robot_and_second": round(robot_s * 1e6),
         "yardstick_us": round(cast_s / CASTS * 1e6, 1),
@@ -127,7 +128,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": RAYCAST_KERNEL.run is not None,
+        "compiled": NEAREST_OBSTACLE.is_compiled,
         "near_others": len({row for pair in candidate_pairs(group, SPAN_PS) for row in pair}),
         "stopped": sum(not robot.moving[0] for robot in group),
         "times_real_time": round(simulated_s / sum(late_s), 2),

@@ -58,7 +58,7 @@ from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
-from worlds.raycast import load_compiled
+from worlds.raycast import NEAREST_OBSTACLE, load_compiled
 
 log = logging.getLogger(__name__)
 
@@ -150,6 +150,7 @@ async def _serve_with(
     emulator = run_header.create_emulator()
     # Compiled before clients connect: the first ray would otherwise take seconds.
     load_compiled(len(emulator.simulation.robots))
+    NEAREST_OBSTACLE.prepare(is_used=False)  # nor later, while clients wait
     _prepare_acoustics(emulator.simulation)
     if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")

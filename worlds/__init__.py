@@ -4,7 +4,7 @@ Inches and radians, counter-clockwise positive. No protocol, no simulation, no f
 """
 
 from worlds.io import load_world, world_names
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast_arrays import cast_discs, cast_rays
 from worlds.robots import BODIES, N150, N200, SCOUT, Body
 from worlds.world import Path, Polygon, StartPose, World
 

@@ -152,10 +152,10 @@ class CompiledFunction:
         """True if `run` is compiled: then it takes arrays for lists."""
         self._sources, self._example, self._calls = sources, example, 0
 
-    def count_call(self) -> None:
+    def count_calls(self, calls: int = 1) -> None:
         """Load compiled code that is on disk after enough calls, unless `prepare` has decided."""
-        self._calls += 1
-        if self._calls == CALLS_BEFORE_LOADING and self._is_on_disk():
+        before, self._calls = self._calls, self._calls + calls
+        if before < CALLS_BEFORE_LOADING <= self._calls and self._is_on_disk():
             self.load()
 
     def prepare(self, is_used: bool) -> None:

@@ -36,6 +36,9 @@ GRID_MARGIN_IN: Final = 1e-4
 MIN_BLOCK, BLOCK_PAIRS = 32, 100_000
 """Least number of points, and usual number of pairs of point and segment, that are computed at once."""
 
+MAX_LOOP_WALLS: Final = 20
+"""Up to so many walls, a loop in plain Python is faster than a selection of them in arrays."""
+
 UPRIGHT_IN: Final = 0.1
 """A segment narrower than this counts as upright in a grid, so that no slope magnifies rounding."""
 
@@ -256,7 +259,7 @@ def _enter_into_grid(segments: FloatArray, reach_in: float) -> tuple[IndexArray,
         lines_y = np.unique(np.quantile(segments[:, 1::2], at))
         # 2. The columns of each segment.
         first = np.searchsorted(lines_x, low_x - margin)
-        rows, columns = _expand(first, np.searchsorted(lines_x, high_x + margin, side="right"))
+        rows, columns = expand(first, np.searchsorted(lines_x, high_x + margin, side="right"))
         # 3. Its part in each column, and the cells of that part.
         bounds = np.concatenate(([-inf], lines_x, [inf]))
         left = np.maximum(bounds[columns] - margin, low_x[rows])
@@ -270,13 +273,45 @@ def _enter_into_grid(segments: FloatArray, reach_in: float) -> tuple[IndexArray,
         last = np.searchsorted(lines_y, high_y + margin, side="right")
         # 4. A coarser grid if long segments pass too many cells.
         if int((last - first + 1).sum()) <= MAX_CELLS_PER_SEGMENT * len(segments) or side <= 2:
-            parts, lines = _expand(first, last)
+            parts, lines = expand(first, last)
             return columns[parts] * (len(lines_y) + 1) + lines, rows[parts]
         side //= 2
 
 
-def _expand(first: IndexArray, last: IndexArray) -> tuple[IndexArray, IndexArray]:
+def expand(first: IndexArray, last: IndexArray) -> tuple[IndexArray, IndexArray]:
     """Return all numbers of n ranges, each from `first` to `last`, and before them the index of the range."""
     counts = last - first + 1
     indices = np.repeat(np.arange(len(first)), counts)
     return indices, np.arange(len(indices)) - np.repeat(counts.cumsum() - counts, counts) + first[indices]
+
+
+def near_walls(x: float, y: float, reach_in: float, walls: FloatArray) -> FloatArray:
+    """Return the walls (k, 4), read-only, that reach into the square of this half width around a point."""
+    if len(walls) <= MAX_LOOP_WALLS:
+        return walls
+    low_x, low_y, high_x, high_y = _bounds(walls)
+    is_near = low_x <= x + reach_in
+    is_near &= high_x >= x - reach_in
+    is_near &= low_y <= y + reach_in
+    is_near &= high_y >= y - reach_in
+    near: FloatArray = walls.take(is_near.nonzero()[0], axis=0)
+    near.setflags(write=False)
+    return near
+
+
+# Bounds of the walls that were used last: those of worlds are read-only and used again and again.
+_MAX_CACHED_BOUNDS: Final = 4
+_cached_bounds: list[tuple[FloatArray, FloatArray]] = []
+
+
+def _bounds(walls: FloatArray) -> FloatArray:
+    """Return the bounds of walls (m, 4) as columns low x, low y, high x, high y (4, m)."""
+    for cached, bounds in _cached_bounds:
+        if cached is walls:
+            return bounds
+    ends = np.ascontiguousarray(walls.T)
+    bounds = np.concatenate((np.minimum(ends[:2], ends[2:]), np.maximum(ends[:2], ends[2:])))
+    if not walls.flags.writeable:
+        _cached_bounds.insert(0, (walls, bounds))
+        del _cached_bounds[_MAX_CACHED_BOUNDS:]
+    return bounds

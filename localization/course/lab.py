@@ -18,7 +18,7 @@ from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState
 from worlds.drawing import draw_walls
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 from worlds.world import World
 

@@ -56,7 +56,7 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import RobotState, Truth
 from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 from worlds.world import World
 

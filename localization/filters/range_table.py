@@ -23,7 +23,7 @@ from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probab
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from nclient.protocol.types import MAX_SONAR_IN
 from worlds.geometry import nearest_points
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.rings import SonarMount
 
 CELL_IN, LARGE_CELL_IN = 3.0, 6.0

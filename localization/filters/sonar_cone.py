@@ -53,7 +53,7 @@ from localization.filters.update import (
     mount_at,
     update_by_association,
 )
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
 
 Indices = npt.NDArray[np.intp]

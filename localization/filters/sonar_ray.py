@@ -60,7 +60,9 @@ from localization.filters.update import (
     shift,
 )
 from worlds import raycast
-from worlds.raycast import MAX_LOOP_WALLS, cast_ray, cast_rays, nearest_wall, sole_wall
+from worlds.geometry import MAX_LOOP_WALLS
+from worlds.raycast import cast_ray, nearest_wall, sole_wall
+from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
 from worlds.robots import N150
 

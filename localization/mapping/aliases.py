@@ -21,7 +21,7 @@ import numpy.typing as npt
 from localization.filters.belief import HEADING, Floats, add, difference, wrap_angle
 from localization.filters.range_table import connected, floor_grid
 from worlds.geometry import nearest_points
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 
 RAYS: Final = 72
 """Rays of a scan: 5 degrees apart."""

@@ -26,7 +26,7 @@ from localization.live.localizer import Estimate
 from localization.live.sensor_input import SensorInput, sonar_readings, with_readings
 from localization.navigation.path import angle_difference
 from nclient.state import RobotState
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 
 JOIN_IN: Final = 5.0
 """Readings within this distance belong to one obstacle."""

@@ -284,7 +284,7 @@ class Polaroid(SonarErrors):
             float(self.edge_loss_db), float(self.skin_loss_db), float(self.post_loss_db),
         )  # fmt: skip
         settings = float(margin_db), float(self.blanking_in), float(self.recess_in), losses
-        FIRST_ECHO.count_call()
+        FIRST_ECHO.count_calls()
         if FIRST_ECHO.is_compiled:
             discs = np.array(others.T, order="C")
             found = FIRST_ECHO.run(np.array(sources), *settings, reflectors.arrays, discs, float(max_range_in))

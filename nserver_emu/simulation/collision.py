@@ -20,8 +20,7 @@ from math import ceil, cos, inf, sin, sqrt, tau
 from typing import Final, NamedTuple
 
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, wrap_to_pi
-from worlds.geometry import FloatArray, nearest_points
-from worlds.raycast import near_walls
+from worlds.geometry import FloatArray, near_walls, nearest_points
 
 CHORD_ERROR_IN: Final = 1e-4
 """Largest distance of a chord from its arc: a tenth of TOUCH_IN, so that no touch is missed by more than bumpers

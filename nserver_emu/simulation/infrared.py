@@ -19,8 +19,8 @@ from nserver_emu.simulation.acoustics import MIN_FACTOR, NOISE_SIGMAS, relative_
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, Stamp
 from nserver_emu.simulation.settings import setting
 from nserver_emu.simulation.visibility import SensorPose
-from worlds.geometry import FloatArray, normals
-from worlds.raycast import cast_discs, cast_rays, near_walls
+from worlds.geometry import FloatArray, near_walls, normals
+from worlds.raycast_arrays import cast_discs, cast_rays
 from worlds.rings import evenly
 from worlds.robots import Body
 

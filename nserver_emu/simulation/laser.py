@@ -17,7 +17,7 @@ import numpy as np
 
 from nserver_emu.simulation.visibility import SensorPose
 from worlds.geometry import BoolArray, FloatArray
-from worlds.raycast import cast_discs, cast_fan
+from worlds.raycast_arrays import cast_discs, cast_fan
 from worlds.robots import Body
 
 COLUMNS: Final = 482

@@ -11,7 +11,7 @@ computes the range: SonarNoise, one exact ray with noise, or Polaroid (acoustics
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, inf, sin
 from typing import Final, NamedTuple
@@ -21,9 +21,10 @@ import numpy as np
 from nclient.protocol.types import MAX_SONAR_RATE, SONAR_RATE_STEP_S
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors, range_std_in
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
-from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
-from worlds.geometry import FloatArray
-from worlds.raycast import RAYCAST_KERNEL, cast_each, near_walls, ray_to_disc
+from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, SensorPose
+from worlds.geometry import FloatArray, near_walls
+from worlds.raycast import NEAREST_OBSTACLE, nearest_disc
+from worlds.raycast_arrays import cast_each
 from worlds.robots import Body
 
 DEAD_IN: Final = 0
@@ -77,18 +78,13 @@ class SonarNoise(SonarErrors):
         # 0. Among many walls, those that an echo can come from.
         if len(walls) > MAX_UNSELECTED_WALLS:
             walls = self._walls_in_reach(pings, walls, body)
-        # 1. Ranges from the axis: compiled, ray by ray ...
-        if RAYCAST_KERNEL.run is not None:
-            cast = RAYCAST_KERNEL.run
-            from_axis = [_cast_compiled(cast, *each, walls) for each in zip(pings, sensor_poses, strict=True)]
-            return self._from_ring(from_axis, pings, body)
-        # ... or in arrays, walls first, then the robots that a ray can meet before its wall.
-        directions = [complex(cos(ping.direction_rad), sin(ping.direction_rad)) for ping in pings]
-        from_axis = cast_each([complex(ping.x_in, ping.y_in) for ping in pings], directions, walls)
-        for ray, disc in robots_on_rays(sensor_poses, directions, from_axis.copy()):
-            met = ray_to_disc(pings[ray].x_in, pings[ray].y_in, directions[ray].real, directions[ray].imag, disc)
-            from_axis[ray] = min(from_axis[ray], met)
-        return self._from_ring(from_axis, pings, body)
+        # 1. Ranges from the axis.
+        from_axis = ranges_from_axis(pings, sensor_poses, walls)
+        # 2. From the ring, with noise.
+        ring_in = body.sonar_ring_radius_in
+        if not self.has_noise:
+            return [range_in - ring_in for range_in in from_axis]
+        return [self._with_noise(range_in - ring_in, ping) for range_in, ping in zip(from_axis, pings, strict=True)]
 
     def _walls_in_reach(self, pings: Sequence[Ping], walls: FloatArray, body: Body) -> FloatArray:
         """Return the walls that decide the readings of these pings."""
@@ -96,13 +92,6 @@ class SonarNoise(SonarErrors):
         apart_in = max(max(x) - min(x), max(y) - min(y))
         reach_in = self.reach_in(body.ring.max_range_in) + body.ring.radius_in + apart_in
         return near_walls(x[0], y[0], reach_in, walls)
-
-    def _from_ring(self, from_axis: Sequence[float], pings: Sequence[Ping], body: Body) -> list[float]:
-        # 2. From the ring, with noise.
-        ring_in = body.sonar_ring_radius_in
-        if not self.has_noise:
-            return [range_in - ring_in for range_in in from_axis]
-        return [self._with_noise(range_in - ring_in, ping) for range_in, ping in zip(from_axis, pings, strict=True)]
 
     def _with_noise(self, range_in: float, ping: Ping) -> float:
         noise = ping.noise[0]
@@ -123,18 +112,22 @@ def shifted(
     return x_in + forwards_in * cosine - left_in * sine, y_in + forwards_in * sine + left_in * cosine
 
 
-def _cast_compiled(
-    nearest_obstacle: Callable[..., float], ping: Ping, sensor_pose: SensorPose, walls: FloatArray
-) -> float:
-    """Return the range from the axis to the first wall or robot, by the compiled kernel."""
-    direction, robots = ping.direction_rad, sensor_pose.robots
-    discs, max_radius_in = (
-        (robots.sorted, robots.max_radius_in) if len(robots.discs) > 1 else (NO_NEAR_ROBOTS, 0.0)
-    )
-    return nearest_obstacle(
-        ping.x_in, ping.y_in, cos(direction), sin(direction), walls, discs, sensor_pose.self_index, max_radius_in,
-        MAX_ROBOT_RANGE_IN,
-    )  # fmt: skip
+def ranges_from_axis(pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray) -> list[float]:
+    """Return the range from the axis of the ring along each ray to a wall (m, 4) or a robot, inches; inf for none."""
+    rays = [(ping.x_in, ping.y_in, cos(ping.direction_rad), sin(ping.direction_rad)) for ping in pings]
+    NEAREST_OBSTACLE.count_calls(len(rays))
+    if NEAREST_OBSTACLE.is_compiled:
+        cast = NEAREST_OBSTACLE.run
+        return [
+            cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in, MAX_ROBOT_RANGE_IN)
+            for ray, pose in zip(rays, sensor_poses, strict=True)
+        ]
+    return [
+        nearest_disc(
+            *ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in, MAX_ROBOT_RANGE_IN
+        )
+        for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)
+    ]
 
 
 IDEAL_SONAR: Final = SonarNoise()

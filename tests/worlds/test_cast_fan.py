@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from worlds import raycast
-from worlds.geometry import FloatArray
-from worlds.raycast import cast_fan, cast_rays, near_walls
+from worlds import raycast_arrays
+from worlds.geometry import FloatArray, near_walls
+from worlds.raycast_arrays import cast_fan, cast_rays
 
 ANGLES = np.linspace(-radians(30.0), radians(30.0), 61)
 REACH_IN = 180.0
@@ -54,7 +54,7 @@ def crowd(count: int) -> FloatArray:
 ], ids=["crowd", "one behind another"])  # fmt: skip
 def test_pairs_of_a_fan_are_few(walls: FloatArray, monkeypatch: pytest.MonkeyPatch) -> None:
     pairs = 0
-    meet = raycast._meet
+    meet = raycast_arrays._meet
 
     def counted(sides: FloatArray, aheads: FloatArray) -> FloatArray:
         nonlocal pairs
@@ -63,7 +63,7 @@ def test_pairs_of_a_fan_are_few(walls: FloatArray, monkeypatch: pytest.MonkeyPat
 
     angles = np.linspace(-radians(30.0), radians(30.0), 482)
     expected = cast_singly(0.0, 0.0, angles, walls)
-    monkeypatch.setattr(raycast, "_meet", counted)
+    monkeypatch.setattr(raycast_arrays, "_meet", counted)
     np.testing.assert_allclose(cast_fan(0.0, 0.0, angles, walls, REACH_IN), expected, atol=1e-6)
     assert pairs < 0.1 * len(walls) * len(angles)
 

@@ -50,10 +50,10 @@ def test_enough_calls_load_what_is_on_disk(function: Loadable, is_on_disk: bool)
     if is_on_disk:
         mark(function)
     for _ in range(CALLS_BEFORE_LOADING - 1):
-        function.count_call()
+        function.count_calls()
     assert function.loads == 0
     for _ in range(CALLS_BEFORE_LOADING):
-        function.count_call()
+        function.count_calls()
     assert function.loads == is_on_disk
 
 
@@ -64,7 +64,7 @@ def test_an_event_loop_never_loads_later(function: Loadable, is_used: bool, is_o
         mark(function)
     function.prepare(is_used)
     for _ in range(2 * CALLS_BEFORE_LOADING):
-        function.count_call()
+        function.count_calls()
     assert function.loads == loads
 
 
@@ -76,7 +76,7 @@ def test_the_variable_forbids_or_demands_compiling(function: Loadable, monkeypat
     monkeypatch.setenv(VARIABLE, "never")
     function.prepare(True)
     for _ in range(2 * CALLS_BEFORE_LOADING):
-        function.count_call()
+        function.count_calls()
     assert function.loads == 1
 
 

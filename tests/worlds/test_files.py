@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from nclient.errors import WorldFileError
 from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world, parse_world, world_names
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 from worlds.world import Polygon, StartPose
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from nclient.errors import StartError
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 from worlds.world import MARGIN_IN, Path, Polygon, StartPose, World
 

@@ -28,8 +28,8 @@ from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.visibility import RobotPositions
-from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
-from worlds.raycast import cast_rays, near_walls
+from worlds.geometry import FloatArray, area, crossing, inside, lengths, near_walls, nearest_points
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import Body
 from worlds.world import Polygon, StartPose, World
 

@@ -26,7 +26,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.filters.update import Refusal
 from localization.navigation.umbmark import calibration_in, table
 from worlds.io import load_world
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 WORLD = load_world("several_walls")

@@ -20,7 +20,7 @@ from localization.filters.particles import (
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.filters.update import Refusal, kalman_update
 from worlds.io import load_world
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 BELIEF = independent([40.0, 45.0, 0.3], [0.8, 0.5, 0.03])

@@ -28,7 +28,8 @@ from localization.filters.sonar_ray import (
 )
 from localization.filters.update import Refusal
 from worlds.io import load_world
-from worlds.raycast import NO_WALL, cast_rays
+from worlds.raycast import NO_WALL
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 ROOM = wall_map(load_world("thesis_room").walls)

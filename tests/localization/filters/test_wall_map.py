@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from localization.filters.sonar_ray import nearest, wall_map
-from worlds.geometry import FloatArray
+from worlds.geometry import MAX_LOOP_WALLS, FloatArray
 from worlds.io import load_world
-from worlds.raycast import MAX_LOOP_WALLS, NO_WALL, cast_rays, sole_wall
+from worlds.raycast import NO_WALL, sole_wall
+from worlds.raycast_arrays import cast_rays
 
 ROOM = np.array(load_world("several_walls").walls)
 MANY = np.random.default_rng(7).uniform(-90.0, 90.0, size=(MAX_LOOP_WALLS + 20, 4))

@@ -15,7 +15,7 @@ from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from worlds.io import load_world
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 ROOM = load_world("thesis_room").walls

@@ -24,7 +24,7 @@ from localization.mapping.observability import (
     _bound_after_cycles,
     compute_observability,
 )
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150, SONARS
 
 ROOM = np.array([[0, 0, 120, 0], [120, 0, 120, 100], [120, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)

@@ -9,7 +9,7 @@ import pytest
 
 from localization.navigation.obstacles import CONFIRM_WEIGHT, DECAY_S, MAX_WEIGHT, ObstacleTracker
 from worlds.io import load_world
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 WALLS = np.array(load_world("several_walls").walls)

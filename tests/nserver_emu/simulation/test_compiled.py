@@ -7,7 +7,8 @@ import pytest
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.raycast import CompiledKernel
+from worlds.compiled import CompiledFunction
+from worlds.raycast import NEAREST_OBSTACLE, nearest_obstacle
 from worlds.world import Polygon, StartPose, World
 
 
@@ -15,11 +16,13 @@ from worlds.world import Polygon, StartPose, World
 @pytest.mark.parametrize("setup", [IDEAL, NOISY], ids=lambda setup: setup.name)
 def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    loaded = CompiledKernel()
+    loaded, plain = (
+        CompiledFunction(nearest_obstacle, NEAREST_OBSTACLE._sources, NEAREST_OBSTACLE._example) for _ in range(2)
+    )
     assert loaded.load()
 
-    def lived(kernel: CompiledKernel) -> list[object]:
-        monkeypatch.setattr(sonar, "RAYCAST_KERNEL", kernel)
+    def lived(kernel: CompiledFunction) -> list[object]:
+        monkeypatch.setattr(sonar, "NEAREST_OBSTACLE", kernel)
         # A small square room, so that echoes and contacts occur.
         square = Polygon(((-70.0, -70.0), (70.0, -70.0), (70.0, 70.0), (-70.0, 70.0)))
         simulation = Simulation(World("square", rooms=(square,)), seed=9)
@@ -38,4 +41,4 @@ def test_compiled_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeyp
                 simulation = Simulation.from_state(simulation.to_state())
         return rows
 
-    assert lived(loaded) == lived(CompiledKernel())
+    assert lived(loaded) == lived(plain)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
+from nserver_emu.simulation.acoustics import Ping
 from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp, to_ps
-from nserver_emu.simulation.sonar import SonarNoise, SonarRing
-from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, RobotPositions, SensorPose, robots_on_rays
-from worlds.raycast import cast_discs
+from nserver_emu.simulation.sonar import SonarNoise, SonarRing, ranges_from_axis
+from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, RobotPositions, SensorPose
+from worlds.raycast_arrays import cast_discs
 from worlds.robots import N150
 
 OFF = 255
@@ -144,36 +145,33 @@ def test_sensors_detect_robots_in_range_and_on_rays() -> None:
     sensor_pose = SensorPose(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, RobotPositions(discs), 7)
     # A robot alone sees no other.
     assert len(SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0).others) == 0
-    assert list(robots_on_rays([SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0)], [1j], [inf])) == []
     # Robots beyond the range are left out, the own one too.
     far = np.abs(discs[:, :2] - (sensor_pose.x_in, sensor_pose.y_in)).max(axis=1) > MAX_ROBOT_RANGE_IN
     np.testing.assert_array_equal(
         sensor_pose.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]]
     )
     assert far.any()
-    blind = SensorPose(0.0, 0.0, 0.0, RobotPositions(), 0)
-    # 13 rays around, and one of a sensor without others.
-    along_rays = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
-    met: list[list[list[float]]] = [[] for _ in range(14)]
-    for ray, disc in robots_on_rays([sensor_pose] * 13 + [blind], [*along_rays, 1j], [inf] * 14):
-        met[ray].append(disc)
-    assert met[13] == []
-    # Robots found on a ray are enough to find the first one.
-    for along_ray, on_line in zip(along_rays, met[:13], strict=True):
-        here, direction = (sensor_pose.x_in, sensor_pose.y_in), (along_ray.real, along_ray.imag)
-        of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
-        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > MAX_ROBOT_RANGE_IN - 60.0
-    # Far fewer candidates than robots times rays.
-    assert 1 < sum(map(len, met)) < 3 * 13
-    # With walls, only robots in front of them count.
-    for wall_in in (0.0, 90.0, 300.0):
-        nearer = list(robots_on_rays([sensor_pose] * 13, along_rays, [wall_in] * 13))
-        for ray, along_ray in enumerate(along_rays):
-            hidden = [disc for other, disc in nearer if other == ray]
-            here, direction = (sensor_pose.x_in, sensor_pose.y_in), (along_ray.real, along_ray.imag)
-            seen = min(wall_in, float(cast_discs(here, direction, hidden)))
-            assert seen == min(wall_in, float(cast_discs(here, direction, np.delete(discs, 7, axis=0))))
-        assert len(nearer) < sum(map(len, met))
+    # 13 rays around meet the first robot, or the wall in front of it.
+    here = sensor_pose.x_in, sensor_pose.y_in
+    for angle in np.linspace(0.0, 6.0, 13).tolist():
+        ray = Ping(*here, angle, 0, (0.0,))
+        direction = cos(angle), sin(angle)
+        to_robot = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
+        for wall_in in (0.0, 90.0, 300.0, inf):
+            wall = [] if wall_in == inf else [wall_across(here, direction, wall_in)]
+            [found] = ranges_from_axis([ray], [sensor_pose], np.array(wall).reshape(-1, 4))
+            assert found == pytest.approx(min(wall_in, to_robot)) or to_robot > MAX_ROBOT_RANGE_IN - 60.0
+        alone = SensorPose(*here, 0.0, RobotPositions(), 0)
+        assert ranges_from_axis([ray], [alone], np.empty((0, 4))) == [inf]
+
+
+def wall_across(
+    here: tuple[float, float], direction: tuple[float, float], range_in: float
+) -> tuple[float, float, float, float]:
+    """Return a wall of 2 in at right angles to a ray."""
+    (x, y), (dx, dy) = here, direction
+    return (x + range_in * dx - dy, y + range_in * dy + dx, x + range_in * dx + dy, y + range_in * dy - dx)
+
 
 
 def test_pings_are_forgotten_when_a_robot_is_placed() -> None:

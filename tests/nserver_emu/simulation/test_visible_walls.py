@@ -12,7 +12,7 @@ from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.noise import BUILDING, MEASURED
 from nserver_emu.simulation.visible_walls import Beam, walls_in_cone
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
 
 assert isinstance(MEASURED.sonar, Polaroid)
