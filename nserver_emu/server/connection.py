@@ -12,26 +12,22 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
 `ConnectionHandler.send` passes it to the socket.
 
-Rule: a connection works in turns of at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN` requests. Its port
-is not read while requests are left over, nor while the client does not read its replies, so that memory stays bounded.
+Words: an *iteration* is one round of asyncio's event loop, which reads the sockets and then runs callbacks. A *turn* is
+the piece of work that one connection does at once: at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN`
+requests. An iteration has room for many turns.
+
+Rule: a port is not read while its connection has requests left over, nor while the client does not read its replies, so
+that memory stays bounded.
 
 Guarantee: an exception while bytes are received or a reply is prepared or made closes that connection only.
 
 Limit: a request is indivisible except for its preparation (`ServerState.prepare_reply`), which is spread over turns.
 
-Which connection works when (`FairScheduler`, which sees no bytes):
+Which connection has its turn when is decided by `FairScheduler`, at the end of this file. A connection uses two of its
+questions:
 
-    work arrives -> may_run_now()?  yes -> it is done at once, then charge()
-                                    no  -> submit() -> run_turn() in a later turn of the event loop
-
-A turn of the event loop works for at most `TURN_BUDGET_S`. While that is not used up and nothing is queued, work is
-done as soon as it arrives; all else is queued and ordered by start-time fair queueing, with processor time as cost. So
-the delay that a client sees does not depend on how many requests others send, nor on what they cost; only one call of
-`run_turn` is indivisible.
-
-References
-----------
-Goyal, Vin and Cheng, Start-time fair queueing, SIGCOMM 1996.
+    bytes arrive -> may_run_now()?  yes -> take the turn at once, then charge() its cost
+                                    no  -> submit(); the scheduler calls run_turn() in a later iteration
 """
 
 from __future__ import annotations
@@ -59,19 +55,20 @@ from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandl
 
 log = logging.getLogger(__name__)
 
-# Time that all jobs together may use in one turn of the event loop. Between two turns the loop polls its sockets, which
-# takes some 15 us: 5 % of this.
-TURN_BUDGET_S: Final = 0.0003
+# Time that the turns of all connections together may take in one iteration. Between two iterations the loop polls its
+# sockets, which takes some 15 us: 5 % of this.
+ITERATION_BUDGET_S: Final = 0.0003
 # Seconds of unused rate that an idle client accumulates.
 BURST_S: Final = 0.1
 # Bytes read from a port at once.
 READ_SIZE: Final = 4096
-# Per event-loop turn and connection. A request has at least 4 bytes and takes 2 us to be framed. One request is the
+# A request has at least 4 bytes and takes 2 us to be framed. One request is the
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
 # Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
-# unlimited speed there is one in each turn. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some 2 ms.
+# unlimited speed there is one in each iteration. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some
+# 2 ms.
 MAX_PREPARING_STEPS: Final = 16
 
 # Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.
@@ -80,189 +77,6 @@ CONNECT_WAIT_S: Final = 1.0
 _QUICK_ACK: Final[int | None] = getattr(socket, "TCP_QUICKACK", None)
 _numbers = count(1)
 INTERNAL_ERROR: Final = "%s: internal error; connection closed"
-
-
-class Job(Protocol):
-    """A connection, or anything else that shares the event loop. All attributes begin with False or 0."""
-
-    # True while it waits in the queue; set to False to withdraw it.
-    is_queued: bool
-    # Virtual time at which its last service ended; its next start tag is not before this.
-    finish_tag_s: float
-    # Processor time that its work has taken so far.
-    cpu_s: float
-
-    def run_turn(self) -> None:
-        """Do the work of one turn, and submit the job again if some is left.
-
-        An exception is logged by the event loop. It delays the other queued jobs to the next turn and loses none.
-        """
-
-
-class FairScheduler:
-    """Start-time fair queueing of jobs by processor time.
-
-    A job gets a start tag, the later of the virtual time and its finish tag. The job with the earliest start tag runs:
-    its tag becomes the virtual time, and its finish tag is that plus what the work cost. So a job that rested is next
-    in line, and jobs with a backlog share equally, whatever their requests cost.
-
-    Attributes
-    ----------
-    turns, served
-        Number of turns that had queued work, and of jobs that were run in them.
-    """
-
-    def __init__(self) -> None:
-        self.turns = 0
-        self.served = 0
-        # Start tag of the job that runs or ran last.
-        self._virtual_s = 0.0
-        # Queued jobs by start tag. Of equal ones the job that rested longest is first, then the one that came first.
-        self._queue: list[tuple[float, float, int, Job]] = []
-        # Number of jobs queued so far, the last criterion of that order.
-        self._number = 0
-        # Jobs submitted since the last turn began: they wait for the next one, since the loop must poll its sockets
-        # first.
-        self._submitted: list[Job] = []
-        self._is_turn_scheduled = False
-        # Processor time left in this turn for work that is done at once, and when such work last ended.
-        self._left_s = TURN_BUDGET_S
-        self._worked_s = 0.0
-
-    def __len__(self) -> int:
-        return len(self._queue)
-
-    def may_run_now(self, now_s: float) -> bool:
-        """Return True if work that has just arrived may be done at once.
-
-        The caller must then do it and `charge` what it took; otherwise it must `submit` the job.
-
-        Parameters
-        ----------
-        now_s
-            The event loop's time.
-        """
-        if self._is_turn_scheduled:
-            return False
-        if now_s >= self._worked_s + TURN_BUDGET_S:
-            # Nothing was done for so long that this is another turn.
-            self._left_s = TURN_BUDGET_S
-        self._worked_s = now_s
-        return self._left_s > 0.0
-
-    def charge(self, taken_s: float) -> None:
-        """Charge this turn for the processor time of work that was done at once."""
-        self._left_s -= taken_s
-        self._worked_s += taken_s
-
-    def submit(self, job: Job) -> None:
-        """Queue a job for a later turn of the event loop. It must not be queued already (`Job.is_queued`)."""
-        job.is_queued = True
-        self._submitted.append(job)
-        if not self._is_turn_scheduled:
-            self._schedule_turn()
-
-    def _run_turn(self) -> None:
-        """Run queued jobs until the time of this turn is used up, each at most once."""
-        # 1. Jobs submitted since the last turn join the queue.
-        for job in self._submitted:
-            self._number += 1
-            heappush(self._queue, (max(self._virtual_s, job.finish_tag_s), job.finish_tag_s, self._number, job))
-        self._submitted.clear()
-        # 2. Run jobs by their tags, until one that has run and has more to do is before all others.
-        self.turns += 1
-        loop = asyncio.get_running_loop()
-        now_s = loop.time()
-        end_s, first_again_s = now_s + TURN_BUDGET_S, inf
-        try:
-            while self._queue and now_s < end_s and self._queue[0][0] <= first_again_s:
-                self._virtual_s, _, _, job = heappop(self._queue)
-                if job.is_queued:
-                    self._run(job)
-                    now_s = loop.time()
-                    if job.is_queued:
-                        first_again_s = min(first_again_s, job.finish_tag_s)
-        finally:
-            # 3. The rest follows in the next turn, also after an exception, which the event loop logs.
-            self._is_turn_scheduled = False
-            self._left_s, self._worked_s = end_s - now_s, now_s
-            if self._queue or self._submitted:
-                self._schedule_turn()
-
-    def _schedule_turn(self) -> None:
-        """Run a turn in the next iteration of the event loop, after the sockets are read.
-
-        asyncio runs timers that are due after what it read, and callbacks of `call_soon` before: with those a request
-        would wait for one more turn.
-        """
-        loop = asyncio.get_running_loop()
-        self._is_turn_scheduled = True
-        loop.call_at(loop.time(), self._run_turn)
-
-    def _run(self, job: Job) -> None:
-        """Run a job and charge it for its processor time."""
-        self.served += 1
-        job.is_queued = False
-        start_s = time.thread_time()
-        job.run_turn()
-        taken_s = time.thread_time() - start_s
-        job.cpu_s += taken_s
-        job.finish_tag_s = self._virtual_s + taken_s
-
-
-class TokenBucket:
-    """A limit on requests per second.
-
-    The bucket holds up to `BURST_S` of the rate, at least one turn. It may become negative by the last turn, which is
-    then waited for before the next. Times are seconds of a monotonic clock.
-
-    Parameters
-    ----------
-    rate
-        Requests per second, above 0.
-    turn
-        Maximum number of requests in one turn.
-    now_s
-        Current time.
-    """
-
-    def __init__(self, rate: float, turn: int, now_s: float) -> None:
-        self._rate = rate
-        self._capacity = max(rate * BURST_S, turn)
-        # Requests that may be answered now, when the bucket was last updated.
-        self._tokens = self._capacity
-        self._updated_s = now_s
-
-    def consume(self, count: int, now_s: float) -> None:
-        """Take tokens for `count` answered requests."""
-        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - count
-        self._updated_s = now_s
-
-    def wait_s(self, now_s: float) -> float:
-        """Return the seconds until a request may be answered, 0 for now."""
-        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))
-
-
-class Server(Protocol):
-    """The parts of a server that its connections use."""
-
-    # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
-    handler: CommandHandler
-    recorder: TrafficRecorder
-    # Open connections of all kinds; a connection adds and removes itself.
-    connections: set[ConnectionHandler]
-    client_registry: ClientRegistry
-    admission: AdmissionControl
-    faults: FaultController
-    scheduler: FairScheduler
-    # Totals of connections that are closed.
-    closed_answered: int
-    closed_refused: int
-    closed_cpu_s: float
-
-    @property
-    def emulator(self) -> ServerState:
-        """The simulation with the server's settings."""
 
 
 class ConnectionState(Enum):
@@ -306,7 +120,7 @@ class ConnectionHandler(ABC):
         state          work left   next turn                                  port is read
         OPEN           no          none                                       unless channel or queue is full
         OPEN           yes         queued, or the timer of the rate limit     no
-        PAUSED         any         none new; one that is due answers nothing  no
+        PAUSED         any         none is scheduled; a queued one sends none no
         DISCONNECTED   no          none                                       no; `tick` looks for a host
         CLOSED         no          none                                       no
 
@@ -337,7 +151,7 @@ class ConnectionHandler(ABC):
         # The identity last reported by the session.
         self._identity: ClientIdentity | None = None
         # True until the first request: until then the connection may turn out to continue a closed one.
-        self._is_pending = True
+        self._awaits_first_request = True
 
         # -- The next turn (`Job`): queued, or when the rate limit allows it, never both --
         self.is_queued = False
@@ -423,9 +237,9 @@ class ConnectionHandler(ABC):
     # A turn.
 
     def _process(self, data: bytes) -> None:
-        """Take a turn with bytes that have just come through the channel, now or later."""
-        is_turn_pending = self.is_queued or self._rate_limit_timer is not None
-        if not is_turn_pending and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
+        """Process bytes from the channel in a turn: at once if the scheduler allows it, otherwise later."""
+        waits_for_turn = self.is_queued or self._rate_limit_timer is not None
+        if not waits_for_turn and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
             start_s = time.thread_time()
             self._take_turn(data)
             taken_s = time.thread_time() - start_s
@@ -520,8 +334,8 @@ class ConnectionHandler(ABC):
             self.send(replies)
         if session.closing:
             self._close_port()
-        if session.identity is not self._identity or (has_request and self._is_pending):
-            self._identity, self._is_pending = session.identity, False
+        if session.identity is not self._identity or (has_request and self._awaits_first_request):
+            self._identity, self._awaits_first_request = session.identity, False
             if self.is_registered:
                 self._server.client_registry.register(self, self.host, self._identity)
 
@@ -821,3 +635,204 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
         self._is_end_logged = True
         self._abort()
+
+
+class Server(Protocol):
+    """The parts of a server that its connections use."""
+
+    # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
+    handler: CommandHandler
+    recorder: TrafficRecorder
+    # Open connections of all kinds; a connection adds and removes itself.
+    connections: set[ConnectionHandler]
+    client_registry: ClientRegistry
+    admission: AdmissionControl
+    faults: FaultController
+    scheduler: FairScheduler
+    # Totals of connections that are closed.
+    closed_answered: int
+    closed_refused: int
+    closed_cpu_s: float
+
+    @property
+    def emulator(self) -> ServerState:
+        """The simulation with the server's settings."""
+
+
+# Scheduling: which job has its turn in which iteration. Nothing below knows bytes or requests.
+
+
+class Job(Protocol):
+    """A connection, or anything else that shares the event loop. All attributes begin with False or 0."""
+
+    # True while it waits in the queue; set to False to withdraw it.
+    is_queued: bool
+    # Virtual time at which its last service ended; its next start tag is not before this.
+    finish_tag_s: float
+    # Processor time that its work has taken so far.
+    cpu_s: float
+
+    def run_turn(self) -> None:
+        """Do the work of one turn, and submit the job again if some is left.
+
+        An exception is logged by the event loop. It delays the other queued jobs to the next iteration and loses none.
+        """
+
+
+class FairScheduler:
+    """Start-time fair queueing of jobs by processor time.
+
+    An iteration of the event loop works for at most `ITERATION_BUDGET_S`. While that is not used up and nothing is
+    queued, work is done as soon as it arrives (`may_run_now`); all else is queued. So the delay that a client sees does
+    not depend on how many requests others send, nor on what they cost; only one call of `run_turn` is indivisible.
+
+    A queued job gets a start tag, the later of the virtual time and its finish tag. The job with the earliest start tag
+    runs: its tag becomes the virtual time, and its finish tag is that plus what the work cost. So a job that rested is
+    next in line, and jobs with a backlog share equally. Of two such jobs, A with 3 ms a turn and B with 1 ms, B has
+    three turns for each of A:
+
+        job             A   B   B   B   A
+        start tag, ms   0   0   1   2   3
+        finish tag, ms  3   1   2   3   6
+
+    Attributes
+    ----------
+    iterations, served
+        Number of iterations that had queued jobs, and of turns that they ran.
+
+    References
+    ----------
+    Goyal, Vin and Cheng, Start-time fair queueing, SIGCOMM 1996.
+    """
+
+    def __init__(self) -> None:
+        self.iterations = 0
+        self.served = 0
+        # Start tag of the job that runs or ran last.
+        self._virtual_s = 0.0
+        # Queued jobs by start tag. Of equal ones the job that rested longest is first, then the one that came first.
+        self._queue: list[tuple[float, float, int, Job]] = []
+        # Number of jobs queued so far, the last criterion of that order.
+        self._number = 0
+        # Jobs submitted since the last run of the queue began: they wait for the next, since the loop must poll its
+        # sockets first.
+        self._submitted: list[Job] = []
+        self._is_run_scheduled = False
+        # Time left in this iteration for work that is done at once, and when such work last ended. asyncio does not say
+        # when an iteration begins: a pause as long as the budget, or a run of the queue, counts as a new one.
+        self._left_s = ITERATION_BUDGET_S
+        self._worked_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def may_run_now(self, now_s: float) -> bool:
+        """Return True if work that has just arrived may be done at once.
+
+        The caller must then do it and `charge` what it took; otherwise it must `submit` the job.
+
+        Parameters
+        ----------
+        now_s
+            The event loop's time.
+        """
+        if self._is_run_scheduled:
+            return False
+        if now_s >= self._worked_s + ITERATION_BUDGET_S:
+            # Nothing was done for so long that this is another iteration.
+            self._left_s = ITERATION_BUDGET_S
+        self._worked_s = now_s
+        return self._left_s > 0.0
+
+    def charge(self, taken_s: float) -> None:
+        """Charge this iteration for the processor time of work that was done at once."""
+        self._left_s -= taken_s
+        self._worked_s += taken_s
+
+    def submit(self, job: Job) -> None:
+        """Queue a job for a later iteration. It must not be queued already (`Job.is_queued`)."""
+        job.is_queued = True
+        self._submitted.append(job)
+        if not self._is_run_scheduled:
+            self._schedule_run()
+
+    def _run_queue(self) -> None:
+        """Run queued jobs until the time of this iteration is used up, each at most once."""
+        # 1. Jobs submitted since the last run join the queue.
+        for job in self._submitted:
+            self._number += 1
+            heappush(self._queue, (max(self._virtual_s, job.finish_tag_s), job.finish_tag_s, self._number, job))
+        self._submitted.clear()
+        # 2. Run jobs by their tags. End where a job that has run, and has more to do, would be next: its turn is
+        #    in the next iteration, and the jobs behind it must not overtake it.
+        self.iterations += 1
+        loop = asyncio.get_running_loop()
+        now_s = loop.time()
+        end_s, earliest_rerun_s = now_s + ITERATION_BUDGET_S, inf
+        try:
+            while self._queue and now_s < end_s and self._queue[0][0] <= earliest_rerun_s:
+                self._virtual_s, _, _, job = heappop(self._queue)
+                if job.is_queued:
+                    self._run(job)
+                    now_s = loop.time()
+                    if job.is_queued:
+                        earliest_rerun_s = min(earliest_rerun_s, job.finish_tag_s)
+        finally:
+            # 3. The rest follows in the next iteration, also after an exception, which the event loop logs.
+            self._is_run_scheduled = False
+            self._left_s, self._worked_s = end_s - now_s, now_s
+            if self._queue or self._submitted:
+                self._schedule_run()
+
+    def _schedule_run(self) -> None:
+        """Run the queue in the next iteration, after the sockets are read.
+
+        asyncio runs timers that are due after what it read, and callbacks of `call_soon` before: with those a request
+        would wait for one more iteration.
+        """
+        loop = asyncio.get_running_loop()
+        self._is_run_scheduled = True
+        loop.call_at(loop.time(), self._run_queue)
+
+    def _run(self, job: Job) -> None:
+        """Run a job and charge it for its processor time."""
+        self.served += 1
+        job.is_queued = False
+        start_s = time.thread_time()
+        job.run_turn()
+        taken_s = time.thread_time() - start_s
+        job.cpu_s += taken_s
+        job.finish_tag_s = self._virtual_s + taken_s
+
+
+class TokenBucket:
+    """A limit on requests per second.
+
+    The bucket holds up to `BURST_S` of the rate, at least one turn. It may become negative by the last turn, which is
+    then waited for before the next. Times are seconds of a monotonic clock.
+
+    Parameters
+    ----------
+    rate
+        Requests per second, above 0.
+    turn
+        Maximum number of requests in one turn.
+    now_s
+        Current time.
+    """
+
+    def __init__(self, rate: float, turn: int, now_s: float) -> None:
+        self._rate = rate
+        self._capacity = max(rate * BURST_S, turn)
+        # Requests that may be answered now, when the bucket was last updated.
+        self._tokens = self._capacity
+        self._updated_s = now_s
+
+    def consume(self, requests: int, now_s: float) -> None:
+        """Take tokens for answered requests."""
+        self._tokens = min(self._capacity, self._tokens + self._rate * (now_s - self._updated_s)) - requests
+        self._updated_s = now_s
+
+    def wait_s(self, now_s: float) -> float:
+        """Return the seconds until a request may be answered, 0 for now."""
+        return max(0.0, -self._tokens / self._rate - (now_s - self._updated_s))

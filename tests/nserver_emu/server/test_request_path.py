@@ -77,7 +77,7 @@ def files_of(connection: TcpConnection, call: Call) -> set[Path]:
 @pytest.mark.parametrize("call", [Call("gs"), Call("vm", (100, 0, 0)), Call("st")], ids=lambda call: call.name)
 async def test_a_request_crosses_at_most_six_files(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     # No turn of the event loop ends here, and the profiler makes everything slow.
-    monkeypatch.setattr("nserver_emu.server.connection.TURN_BUDGET_S", 10.0)
+    monkeypatch.setattr("nserver_emu.server.connection.ITERATION_BUDGET_S", 10.0)
     emulator = open_address("sim:thesis_room").emulator
     emulator.clock.lockstep_s = None
     connection, transport = TcpConnection(Daemon(emulator)), FakeTransport()

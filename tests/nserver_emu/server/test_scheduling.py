@@ -11,7 +11,7 @@ import pytest
 
 from nclient.protocol.commands import Call
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.server.connection import MAX_PREPARING_STEPS, TURN_BUDGET_S, FairScheduler
+from nserver_emu.server.connection import ITERATION_BUDGET_S, MAX_PREPARING_STEPS, FairScheduler
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import PREPARING_S, ServerState
 from nserver_emu.server.session import ConnectionContext
@@ -48,7 +48,7 @@ class Load:
         self.clock.now_s += self.cost_s
         self.backlog -= 1
         self.order.append(self.name)
-        self.turns.append(self.scheduler.turns)
+        self.turns.append(self.scheduler.iterations)
         if self.backlog:
             self.scheduler.submit(self)
 
@@ -72,7 +72,7 @@ async def drained(scheduler: FairScheduler, clock: Clock, loads: list[Load]) -> 
 async def test_a_turn_is_bounded_by_cost_not_by_count(clock: Clock) -> None:
     scheduler = FairScheduler()
     order: list[str] = []
-    loads = [Load(str(number), TURN_BUDGET_S / 5, 4, clock, scheduler, order) for number in range(50)]
+    loads = [Load(str(number), ITERATION_BUDGET_S / 5, 4, clock, scheduler, order) for number in range(50)]
     await drained(scheduler, clock, loads)
     served = Counter(turn for load in loads for turn in load.turns)
     # Fifty floods: the last job of a turn may exceed the budget, no other.
@@ -94,7 +94,7 @@ async def test_time_is_shared_whatever_requests_cost(clock: Clock) -> None:
 async def test_a_rested_connection_is_next(clock: Clock) -> None:
     scheduler = FairScheduler()
     order: list[str] = []
-    floods = [Load(f"flood {number}", TURN_BUDGET_S / 4, 40, clock, scheduler, order) for number in range(50)]
+    floods = [Load(f"flood {number}", ITERATION_BUDGET_S / 4, 40, clock, scheduler, order) for number in range(50)]
     draining = asyncio.create_task(drained(scheduler, clock, list(floods)))
     while len(order) < 300:
         await asyncio.sleep(0)
@@ -107,12 +107,12 @@ async def test_a_rested_connection_is_next(clock: Clock) -> None:
 async def test_an_idle_loop_answers_at_once() -> None:
     scheduler = FairScheduler()
     assert scheduler.may_run_now(100.0)
-    scheduler.charge(0.9 * TURN_BUDGET_S)
-    assert scheduler.may_run_now(100.0 + 0.9 * TURN_BUDGET_S)
-    scheduler.charge(2.0 * TURN_BUDGET_S)
-    assert not scheduler.may_run_now(100.0 + 3.0 * TURN_BUDGET_S), "the turn is used up"
-    assert not scheduler.may_run_now(100.0 + 3.9 * TURN_BUDGET_S)
-    assert scheduler.may_run_now(100.0 + 5.0 * TURN_BUDGET_S)
+    scheduler.charge(0.9 * ITERATION_BUDGET_S)
+    assert scheduler.may_run_now(100.0 + 0.9 * ITERATION_BUDGET_S)
+    scheduler.charge(2.0 * ITERATION_BUDGET_S)
+    assert not scheduler.may_run_now(100.0 + 3.0 * ITERATION_BUDGET_S), "the turn is used up"
+    assert not scheduler.may_run_now(100.0 + 3.9 * ITERATION_BUDGET_S)
+    assert scheduler.may_run_now(100.0 + 5.0 * ITERATION_BUDGET_S)
 
 
 async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
@@ -122,16 +122,16 @@ async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(asyncio.get_running_loop(), "time", lambda: clock.now_s)
         for _ in range(110):
-            clock.now_s += 0.4 * TURN_BUDGET_S
+            clock.now_s += 0.4 * ITERATION_BUDGET_S
             if scheduler.may_run_now(clock.now_s):
-                scheduler.charge(0.1 * TURN_BUDGET_S)
+                scheduler.charge(0.1 * ITERATION_BUDGET_S)
                 at_once += 1
             else:
-                one = Load("one", 0.1 * TURN_BUDGET_S, 1, clock, scheduler, [])
+                one = Load("one", 0.1 * ITERATION_BUDGET_S, 1, clock, scheduler, [])
                 scheduler.submit(one)
                 while one.backlog:
                     await asyncio.sleep(0)
-            clock.now_s += 0.1 * TURN_BUDGET_S
+            clock.now_s += 0.1 * ITERATION_BUDGET_S
     assert at_once >= 99
 
 
@@ -156,7 +156,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
         compute = SonarRing._compute
 
         def costly(ring: SonarRing, model: Polaroid, sonar: int) -> None:
-            pings[scheduler.turns] = pings.get(scheduler.turns, 0) + 1
+            pings[scheduler.iterations] = pings.get(scheduler.iterations, 0) + 1
             compute(ring, model, sonar)
             end_s = time.thread_time() + PREPARING_S
             while time.thread_time() < end_s:
