@@ -7,6 +7,12 @@
     nomad wire dissector >nomad.lua                   a dissector for Wireshark and tshark
 
 Results go to stdout. The reason why a frame is invalid goes to stderr, except in a dump, which has an object per line.
+
+Calls have the names of the C interface (nclient/protocol/commands.py). Those with special arguments here:
+
+    ct           set the mask: 44 numbers, one for each value of a state reply, 0 leaves it out
+    tk           say a text (Nomad 200)
+    place_robot  set pose; on the serial line it is sent as dp (position) and da (angles)
 """
 
 import argparse
@@ -25,9 +31,9 @@ from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.types import EVERYTHING, MODELS, Mask, get_model
 from nclient.protocol.wire_state import serial_wire_state
 
-# Set on the parser, since --line and --model exist both before and after the verb.
+# Defaults of --line and --model, which may stand before or after the verb. A default of the option itself would be set
+# once more by the verb's parser, and replace a value given before the verb.
 _DEFAULTS = {"line": "tcp", "model": "n150"}
-_LIST = "nomad wire encode --help lists them all"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,12 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     encode.add_argument("--packet-type", type=int, metavar="N", help="packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
     decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
-    decode.add_argument("hex", nargs="+", metavar="HEX", action=_Hex, help="bytes of one frame")
+    decode.add_argument("hex", nargs="+", metavar="HEX", action=_JoinHex, help="bytes of one frame")
     decode.add_argument(
         "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
     )
     decode.add_argument("--call", metavar="CALL", help="decode as the reply to this call")
-    decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
+    decode.add_argument(
+        "--mask", type=_mask, default=EVERYTHING, help="44 numbers of the mask in force (default: all on)"
+    )
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
     _add_verb(verbs, "dump", getdoc(_dump) or "")
     _add_verb(verbs, "dissector", getdoc(_dissector) or "")
@@ -81,10 +89,10 @@ def run(options: argparse.Namespace) -> int:
             return _encode(options)
         case "decode":
             return _decode(options)
-        case "dissector":
-            return _dissector()
-        case _:
+        case "dump":
             return _dump(options)
+        case _:
+            return _dissector()
 
 
 def _encode(options: argparse.Namespace) -> int:
@@ -113,21 +121,25 @@ def _encode(options: argparse.Namespace) -> int:
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
     """Yield the calls for the arguments of the C call, with pid, mask or packet type added."""
+    command = _find_command(options.call)
     # 1. A text needs no conversion.
-    row = _row(options.call)
-    if row.name == "tk":
-        yield Call(row.name, (" ".join(options.args),))
+    if command.name == "tk":
+        yield Call(command.name, (" ".join(options.args),))
         return
-    # 2. Numbers; on the serial line place_robot is sent as two commands, position and angles.
+    # 2. All others have numbers; on the serial line place_robot is sent as two commands, position and angles.
     args = tuple(_number(word) for word in options.args)
-    if row.name == "place_robot" and options.line == "serial" and len(args) == 4:
+    if command.name == "place_robot" and options.line == "serial" and len(args) == 4:
         yield from (Call("dp", args[:2]), Call("da", args[2:]))
         return
-    # 3. Arguments that are not in the C call: pid, mask or packet type.
-    yield Call(row.name, _with_extra_arguments(row.extra_arguments[0], args, options) if row.extra_arguments else args)
+    # 3. An argument that the frame has and the C call has not.
+    if command.extra_arguments:
+        name, _ = command.extra_arguments
+        args = _add_argument(name, args, options)
+    yield Call(command.name, args)
 
 
-def _with_extra_arguments(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
+def _add_argument(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the arguments with the process id (last), the mask (alone), or the packet type (first)."""
     if name == "pid":
         return (*args, options.pid)
     if name == "mask":
@@ -152,13 +164,12 @@ def _decode(options: argparse.Namespace) -> int:
     """
     decoder = WireDecoder(options.line, get_model(options.model))
     # 1. State of the connection: it decides the layout of state replies.
-    if options.mask:
-        decoder.wire_state.set_mask(options.mask)
+    decoder.wire_state.set_mask(options.mask)
     if options.laser_mode is not None:
         decoder.wire_state.set_laser_mode(options.laser_mode)
     # 2. The command that a reply belongs to, if it was named.
     if options.call:
-        decoder.expect(_row(options.call).name)
+        decoder.expect(_find_command(options.call).name)
     # 3. One frame in the stated direction.
     decoded = decoder.request(options.hex) if options.to == "robot" else decoder.reply(options.hex)
     if "error" in decoded:
@@ -202,13 +213,13 @@ def _dissector() -> int:
     return ExitCode.DONE
 
 
-def _row(name: str) -> Command:
+def _find_command(name: str) -> Command:
     if name not in BY_NAME:
-        raise WireError(f"{codec.describe_unknown_command(name)}; {_LIST}")
+        raise WireError(f"{codec.describe_unknown_command(name)}; nomad wire encode --help lists them all")
     return BY_NAME[name]
 
 
-class _Hex(argparse.Action):
+class _JoinHex(argparse.Action):
     """Converts hex digits, which may be split over several words at any place, to bytes."""
 
     def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:

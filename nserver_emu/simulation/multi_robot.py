@@ -92,7 +92,7 @@ class RobotGroup:
                 raise ValueError("positions of other robots")
             self._positions[tick] = RobotPositions(np.array(discs))
         if state:
-            self._join(robots)
+            self._connect(robots)
 
     def at(self, instant_ps: int) -> RobotPositions:
         """Return the positions at the last tick before an instant; they are filled in when `advance` has ended."""
@@ -100,12 +100,12 @@ class RobotGroup:
         positions = self._positions.get(tick)
         return self._positions.setdefault(tick, RobotPositions()) if positions is None else positions
 
-    def set_robots(self, robots: Sequence[MovingBody], now_ps: int) -> None:
-        """Set the robots; their current positions count from now on."""
-        self._join(robots)
-        self._positions = {(now_ps - 1) // TICK_PS: RobotPositions(discs_of(robots))}
+    def set_bodies(self, bodies: Sequence[MovingBody], now_ps: int) -> None:
+        """Replace the bodies; their current positions count from now on."""
+        self._connect(bodies)
+        self._positions = {(now_ps - 1) // TICK_PS: RobotPositions(discs_of(bodies))}
 
-    def _join(self, robots: Sequence[MovingBody]) -> None:
+    def _connect(self, robots: Sequence[MovingBody]) -> None:
         for row, robot in enumerate(robots):
             robot.set_positions(self, row)
             robot.start_trajectory()

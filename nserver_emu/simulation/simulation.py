@@ -1,7 +1,7 @@
 """A world with its robots, and simulated time that advances in steps. No clock, no socket, no thread.
 
-Order of a step: commands (between steps), motion, contact, sensors. A simulation that is restored from its state
-continues with the same bits.
+`Simulation` is the whole of it: commands come between steps, and a step is motion, contact and sensors, in this order.
+At the end of the file is what a snapshot stores (`SimulationState`).
 """
 
 from __future__ import annotations
@@ -37,105 +37,30 @@ from worlds.world import (
     World,
 )
 
-MAX_OUTLINE_CORNERS: Final = 1_000_000
-"""Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorldState:
-    """The values that a world is built from."""
-
-    name: str
-    title: str
-    rooms: tuple[Polygon, ...]
-    inner_walls: tuple[tuple[float, float, float, float], ...]
-    obstacles: tuple[Polygon, ...]
-    starts: tuple[StartPose, ...]
-    paths: tuple[Path, ...]
-    doors: tuple[Door, ...] | None = None
-    walkers: tuple[Walker, ...] | None = None
-    accuracies: dict[int, WallAccuracy] | None = None
-    wall_names: dict[int, str] | None = None
-
-    @classmethod
-    def of(cls, world: World) -> WorldState:
-        """Return the state of a world."""
-        # Rooms and obstacles are stored as outlines; only inner walls are segments.
-        inner_walls = tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist())
-        return cls(
-            world.name, world.title, world.rooms, inner_walls, world.obstacles, world.starts,
-            tuple(world.paths.values()), world.doors or None, world.walkers or None, dict(world.accuracies) or None,
-            dict(world.wall_names) or None,
-        )  # fmt: skip
-
-    def world(self) -> World:
-        """Return the world; raise ValueError if there can be none."""
-        self._check_size()
-        doors, walkers, accuracies = self.doors or (), self.walkers or (), self.accuracies or {}
-        if not all(len(walker.points_in) > 1 and walker.speed_in_s > 0.0 < walker.radius_in for walker in walkers):
-            raise ValueError("a walker that cannot walk")
-        if not all(0 <= row < len(self.inner_walls) and min(each) >= 0.0 for row, each in accuracies.items()):
-            raise ValueError("the accuracy of a wall that does not exist, or below 0")
-        names = self.wall_names or {}
-        if not all(0 <= row < len(self.inner_walls) for row in names):
-            raise ValueError("the name of a wall that does not exist")
-        outlines = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
-        routes = [point for walker in walkers for point in walker.points_in]
-        places = (*outlines, *self.inner_walls, *routes, *(end for door in doors for end in door.ends_in))
-        if not all(abs(number) <= MAX_COORDINATE_IN for place in places for number in place):
-            raise ValueError(f"a world with coordinates beyond {MAX_COORDINATE_IN:g} in")
-        return World(
-            self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
-            {path.name: path for path in self.paths}, accuracies=accuracies, doors=doors, walkers=walkers,
-            wall_names=names,
-        )  # fmt: skip
-
-    def _check_size(self) -> None:
-        """Raise ValueError if there is too little or too much of something."""
-        outlines = (*self.rooms, *self.obstacles)
-        if not self.starts or not all(len(outline.corners_in) > 2 for outline in outlines):
-            raise ValueError("a world without starts or outlines")
-        corners = sum(len(outline.corners_in) for outline in outlines)
-        fixed = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
-        if fixed > 2 * MAX_CORNERS or corners > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
-            raise ValueError("a world that is too large")
-        walkers = self.walkers or ()
-        route_points = sum(len(walker.points_in) for walker in walkers)
-        if (
-            len(self.doors or ()) > MAX_DOORS
-            or len(walkers) > MAX_WALKERS
-            or route_points > MAX_WALKERS * MAX_ROUTE_POINTS
-        ):
-            raise ValueError("a world with too many doors or walkers")
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationState:
-    """The state of a simulation in a snapshot."""
-
-    seed: int
-    time_ps: int
-    world: WorldState
-    robots: dict[int, RobotState]
-    group: GroupState
-    walkers: tuple[WalkerState, ...] | None = None
-
 
 class Simulation:
-    """A world and its robots.
+    """A world and the bodies in it: robots, and walkers (people who walk along routes).
 
-    The same seed and the same commands between the same steps give the same results.
+    The same seed and the same commands between the same steps give the same results, and a simulation that is restored
+    from its state continues with the same bits.
+
+    A robot goes through these states:
+
+        add_robot   it has a place, which no other may take; its sensors are off
+        connected   it is part of `RobotGroup`: bumpers and sensors of all bodies detect it, and its own detect them.
+                    Done for all new robots at once, before the first of them measures and before the next step
+        power_on    its sensors measure
 
     Attributes
     ----------
     robots
-        By their numbers, sorted.
+        Robots by number, in ascending order.
     seed
         0 or more.
     time_ps
         Simulated time since the beginning.
     walkers
-        Those of the world, in its order.
+        In the order of `World.walkers`.
     """
 
     def __init__(self, world: World, seed: int = 0) -> None:
@@ -143,15 +68,18 @@ class Simulation:
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
         self.time_ps = 0
+        # Where each body can be detected by the others, now and at the last tick.
         self._group = RobotGroup()
         self.walkers = [SimulatedWalker(walker, world.walls) for walker in world.walkers]
+        # Positions of the robots; None after any of them may have moved.
         self._spatial_hash: SpatialHash | None = None
+        # True if robots were added that are not connected yet.
         self._has_new_robots = False
 
     def to_state(self) -> SimulationState:
-        """Return all that changes, and the world."""
-        # New robots join the others first: their state has no form of its own.
-        self._join_new_robots()
+        """Return the world and all that changes in it."""
+        # A snapshot has no form for a robot that is not connected.
+        self._connect_new_robots()
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
         walkers = tuple(walker.to_state() for walker in self.walkers) or None
         group = self._group.to_state()
@@ -159,8 +87,8 @@ class Simulation:
 
     @classmethod
     def from_state(cls, state: SimulationState) -> Simulation:
-        """Return the simulation of a state; raise ValueError if there can be none."""
-        # 1. Values that no simulation has.
+        """Return the simulation that continues from a state; raise ValueError if a value in it is impossible."""
+        # 1. Check what the parts below do not check themselves.
         if not 0 <= state.time_ps < TIME_MAX_PS or state.seed < 0:
             raise ValueError(f"time_ps {state.time_ps} or seed {state.seed} is out of range")
         if list(state.robots) != sorted(state.robots):
@@ -174,18 +102,20 @@ class Simulation:
             for number, robot in state.robots.items()
         }
         if len(state.walkers or ()) != len(simulation.walkers):
-            raise ValueError("the state of other walkers")
+            raise ValueError(
+                f"{len(state.walkers or ())} states of walkers for the {len(simulation.walkers)} walkers of the world"
+            )
         simulation.walkers = [SimulatedWalker(each.walker, walls, state.time_ps) for each in simulation.walkers]
         for walker, walker_state in zip(simulation.walkers, state.walkers or (), strict=True):
             walker.set_state(walker_state)
-        # 3. The compiled ray caster, if there are enough robots for it; positions for one another's sensors.
+        # 3. Connect the bodies; with many robots it pays to compile the ray caster.
         load_compiled(len(simulation.robots))
         simulation._group.set_state(state.group, simulation.bodies)
         return simulation
 
     @property
     def bodies(self) -> list[MovingBody]:
-        """The robots, then the walkers: what moves and can be touched."""
+        """All that moves and can be touched: the robots, then the walkers."""
         return [*self.robots.values(), *self.walkers]
 
     @property
@@ -228,10 +158,10 @@ class Simulation:
         # 1. The position must be free.
         pose = self._world.starts[0] if start is None else start
         self.require_free(pose.x_in, pose.y_in, model.body.radius_in)
-        # 2. The robot, without power: its sensors must not measure before it is known to the others.
+        # 2. The robot, without power: its sensors must not measure before it is connected.
         rng_factory = RngFactory(robot_id, self.seed)
         robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self.time_ps, powered=False)
-        # 3. Robots stay sorted by number, which is the order of their rows.
+        # 3. Robots stay in the order of their numbers, which is that of their rows in `RobotGroup`.
         is_in_order = not self.robots or robot_id > next(reversed(self.robots))
         self.robots[robot_id] = robot
         if not is_in_order:
@@ -240,13 +170,13 @@ class Simulation:
         self._has_new_robots = True
         # 4. Power.
         if powered:
-            self._join_new_robots()
+            self._connect_new_robots()
             robot.power_on()
         return robot
 
     def power_on(self) -> None:
         """Switch on all robots that are off, at one instant: each detects all others, whatever their order."""
-        self._join_new_robots()
+        self._connect_new_robots()
         for robot in self.robots.values():
             if not robot.powered:
                 robot.power_on()
@@ -260,12 +190,12 @@ class Simulation:
                 self._spatial_hash.add(number, robot.disc)
         return self._spatial_hash
 
-    def _join_new_robots(self) -> None:
-        """Make robots that were added visible to the others, and the others to them."""
+    def _connect_new_robots(self) -> None:
+        """Let new robots and all other bodies detect one another."""
         if self._has_new_robots:
             load_compiled(len(self.robots))
             if len(bodies := self.bodies) > 1:
-                self._group.set_robots(bodies, self.time_ps)
+                self._group.set_bodies(bodies, self.time_ps)
         self._has_new_robots = False
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
@@ -304,32 +234,38 @@ class Simulation:
     def _update_group(self) -> None:
         """Make the present positions those that sensors and bumpers detect."""
         if len(bodies := self.bodies) > 1:
-            self._group.set_robots(bodies, self.time_ps)
+            self._group.set_bodies(bodies, self.time_ps)
             update_obstacles(bodies)
 
     def change_world(self, world: World) -> None:
-        """Replace the world now; earlier readings do not change. Walkers that it has as well walk on."""
+        """Replace the world now; earlier readings do not change. Walkers that the new world has as well walk on."""
+        # 1. Walls.
         self._world = world
         for robot in self.robots.values():
             robot.set_walls(world.walls)
+        # 2. Walkers: those that stay, and new ones at the beginning of their routes.
         before = self.walkers
-        if before or world.walkers:
-            here = {id(each.walker): each for each in before}
-            self.walkers = [
-                here.get(id(walker)) or SimulatedWalker(walker, world.walls, self.time_ps) for walker in world.walkers
-            ]
-            for walker in self.walkers:
-                walker.set_walls(world.walls)
-        if self.walkers != before:
+        self.walkers = [self._simulated(walker) for walker in world.walkers]
+        for walker in self.walkers:
+            walker.set_walls(world.walls)
+        # 3. The bodies that detect one another.
+        if self.walkers == before:
             if len(self.bodies) > 1:
-                self._update_group()
-            else:
-                # A snapshot has positions of several bodies, or none.
-                self._group = RobotGroup()
-                for robot in self.robots.values():
-                    robot.stand_alone()
+                update_obstacles(self.bodies)
         elif len(self.bodies) > 1:
-            update_obstacles(self.bodies)
+            self._update_group()
+        else:
+            # One robot is left, without a group: a snapshot has positions of several bodies, or none.
+            self._group = RobotGroup()
+            for robot in self.robots.values():
+                robot.stand_alone()
+
+    def _simulated(self, walker: Walker) -> SimulatedWalker:
+        """Return the body of a walker of the world; a new one starts now."""
+        for body in self.walkers:
+            if body.walker is walker:
+                return body
+        return SimulatedWalker(walker, self._world.walls, self.time_ps)
 
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.
@@ -339,7 +275,7 @@ class Simulation:
         """
         begin_ps, self.time_ps = self.time_ps, self.time_ps + to_ps(dt_s)
         self._spatial_hash = None
-        self._join_new_robots()
+        self._connect_new_robots()
         # Several bodies advance together, so that they can stop at one another; a walker also when alone, so that its
         # path is recorded for one span at a time.
         bodies = self.bodies
@@ -347,3 +283,105 @@ class Simulation:
             self._group.advance(bodies, begin_ps, self.time_ps)
         for body in bodies:
             body.advance_to(self.time_ps)
+
+
+# What a snapshot stores.
+
+MAX_OUTLINE_CORNERS: Final = 1_000_000
+"""Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationState:
+    """The state of a simulation in a snapshot. Lists that are empty are None, and not written."""
+
+    seed: int
+    time_ps: int
+    world: WorldState
+    robots: dict[int, RobotState]
+    group: GroupState
+    walkers: tuple[WalkerState, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """The values that a world is built from. Rooms and obstacles are outlines; only inner walls are segments."""
+
+    name: str
+    title: str
+    rooms: tuple[Polygon, ...]
+    inner_walls: tuple[tuple[float, float, float, float], ...]
+    obstacles: tuple[Polygon, ...]
+    starts: tuple[StartPose, ...]
+    paths: tuple[Path, ...]
+    doors: tuple[Door, ...] | None = None
+    walkers: tuple[Walker, ...] | None = None
+    accuracies: dict[int, WallAccuracy] | None = None
+    wall_names: dict[int, str] | None = None
+
+    @classmethod
+    def of(cls, world: World) -> WorldState:
+        """Return the state of a world."""
+        return cls(
+            name=world.name,
+            title=world.title,
+            rooms=world.rooms,
+            inner_walls=tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist()),
+            obstacles=world.obstacles,
+            starts=world.starts,
+            paths=tuple(world.paths.values()),
+            doors=world.doors or None,
+            walkers=world.walkers or None,
+            accuracies=dict(world.accuracies) or None,
+            wall_names=dict(world.wall_names) or None,
+        )
+
+    def world(self) -> World:
+        """Return the world; raise ValueError if a value is impossible."""
+        self._check_sizes()
+        self._check_values()
+        return World(
+            self.name,
+            self.title,
+            self.rooms,
+            np.array(self.inner_walls).reshape(-1, 4),
+            self.obstacles,
+            self.starts,
+            {path.name: path for path in self.paths},
+            accuracies=self.accuracies or {},
+            doors=self.doors or (),
+            walkers=self.walkers or (),
+            wall_names=self.wall_names or {},
+        )
+
+    def _check_sizes(self) -> None:
+        """Raise ValueError if there is too little or too much of something."""
+        outlines = (*self.rooms, *self.obstacles)
+        if not self.starts or not all(len(outline.corners_in) > 2 for outline in outlines):
+            raise ValueError("a world without starts, or an outline with fewer than three corners")
+        corners = sum(len(outline.corners_in) for outline in outlines)
+        walls = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
+        if walls > 2 * MAX_CORNERS or corners > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
+            raise ValueError("too many walls, corners or starts")
+        doors, walkers = self.doors or (), self.walkers or ()
+        route_points = sum(len(walker.points_in) for walker in walkers)
+        if len(doors) > MAX_DOORS or len(walkers) > MAX_WALKERS or route_points > MAX_WALKERS * MAX_ROUTE_POINTS:
+            raise ValueError("too many doors, walkers or points of routes")
+
+    def _check_values(self) -> None:
+        """Raise ValueError if a value is impossible; every comparison is one that fails for nan."""
+        doors, walkers, accuracies = self.doors or (), self.walkers or (), self.accuracies or {}
+        for walker in walkers:
+            if not (len(walker.points_in) > 1 and walker.speed_in_s > 0.0 and walker.radius_in > 0.0):
+                raise ValueError("a walker needs two points, a speed and a radius above 0")
+        rows = range(len(self.inner_walls))
+        if not all(row in rows and min(accuracy) >= 0.0 for row, accuracy in accuracies.items()):
+            raise ValueError("the accuracy of a wall that does not exist, or below 0")
+        if not all(row in rows for row in self.wall_names or {}):
+            raise ValueError("the name of a wall that does not exist")
+        corners = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
+        routes = [point for walker in walkers for point in walker.points_in]
+        door_ends = [end for door in doors for end in door.ends_in]
+        for point in (*corners, *self.inner_walls, *routes, *door_ends):
+            if not all(abs(coordinate) <= MAX_COORDINATE_IN for coordinate in point):
+                raise ValueError(f"a coordinate beyond {MAX_COORDINATE_IN:g} in")
