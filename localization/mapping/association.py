@@ -106,9 +106,10 @@ class MapEstimate:
             poses.append(compose(poses[-1], step))
         self.state = replace(self.state, poses=np.array(poses))
 
-    def optimize(self, iterations: int = 4) -> None:
+    def optimize(self, iterations: int = 4, *, robust: bool = True) -> None:
         """Optimize everything for the present assignment."""
-        self.state = self.problem.optimize(self.state, self.assignment, iterations)
+        problem = self.problem if robust else self.problem.plain
+        self.state = problem.optimize(self.state, self.assignment, iterations)
 
     def associate(self, first_node: int = 0) -> None:
         """Assign all echoes from a node on."""

@@ -67,6 +67,8 @@ ROUGHNESS_IN: Final = 0.15
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
+JOIN_STEPS: Final = 6
+"""Steps of plain least squares that bring the echoes of two walls onto one line, far as they may be."""
 ONE_SIDED: Final = 0.9
 """Fraction of a face's echoes that are from its side of the wall."""
 MIN_THICKNESS_IN: Final = 2.0
@@ -448,7 +450,9 @@ def _merged(estimate: MapEstimate, remaining: int, removed: int) -> MapEstimate:
     extents[remaining] = coordinates.min(), coordinates.max()
     trial.extents, trial.assignment = extents, replace(trial.assignment, feature=feature)
     trial.remove(removed)
-    # 2. Optimized with the echoes of both, then with those that it explains.
+    # 2. Optimized with the echoes of both by plain least squares, as robust weights would leave out those of the
+    # removed one where the map is bent; then with those that it explains.
+    trial.optimize(JOIN_STEPS, robust=False)
     trial.optimize(3)
     trial.associate()
     trial.optimize(3)

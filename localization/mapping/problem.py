@@ -243,6 +243,14 @@ class MapProblem:
         """Prior of the parameters c as rows P of residuals P c: each one, and the mean of the own offsets."""
         self._prior_information: Floats = self.prior.T @ self.prior
 
+    @property
+    def plain(self) -> MapProblem:
+        """The same problem by plain least squares, without robust weights."""
+        return MapProblem(
+            self.trajectory, self._parameters - len(PARAMETER_STDS), rays=self.rays, robust=False,
+            has_fixed_map=self.has_fixed_map,
+        )  # fmt: skip
+
     def initial(self) -> MapState:
         """Return the first pose at the origin, nothing else, and an ideal robot."""
         return MapState(np.zeros((1, POSE)), np.empty((0, WALL)), np.empty((0, POINT)), np.zeros(self._parameters))

@@ -28,7 +28,7 @@ from localization.mapping.association import (
     residual_matrix,
     segments_of,
 )
-from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, sensors_at
+from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 
 MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
@@ -55,6 +55,10 @@ SPAN_INCIDENCE_COS: Final = 0.35
 """From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
 SPAN_MARGIN: Final = 0.1
 """The outer tenths of a span belong to its points."""
+FACING_COS: Final = 0.99
+"""A sonar whose axis is within 8 degrees of the normal of a wall measures it, if its foot is on the wall."""
+RECESS_IN: Final = 3.0
+"""So much beyond a span, what a sonar measures is behind it."""
 CLEAR_OF_ENDS_RAD: Final = radians(13.0)
 """A point farther off the axis than this, half of a cone, reflects nothing."""
 ON_LINE_IN: Final = 0.01
@@ -120,6 +124,10 @@ class _Line:
         point: Floats = self.normal * self.offset + self.along * coordinate
         return point
 
+    def off(self, ends: Floats) -> float:
+        """Return the distance of the farther one of two points (4,) from the line."""
+        return float(np.abs(ends.reshape(2, 2) @ self.normal - self.offset).max())
+
     def is_crossed(self, low: float, high: float) -> bool:
         """Return True if paths have crossed the line between two coordinates."""
         within = (self.crossed > low + BLOCKED_IN) & (self.crossed < high - BLOCKED_IN)
@@ -137,11 +145,15 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     # 2. Pieces.
     points = estimate.state.points
     spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
+    owners = [int(np.argmin([line.off(span.ends) for line in lines])) for span in spans] if lines else []
     pieces = [
         Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
         for number, line in enumerate(lines)
-        for low, high, count in _with_spans(_pieces(line, np.sort(_clear_feet(estimate, number)), points), line, spans)
-    ]
+        for low, high, count in _with_spans(
+            _pieces(line, np.sort(_clear_feet(estimate, number)), points), line,
+            [span for span, nearest in zip(spans, owners, strict=True) if nearest == number],
+        )
+    ]  # fmt: skip
     # 3. Ends.
     _join_corners(pieces, lines, points)
     _move_ends_to_points(pieces, lines, points)
@@ -216,6 +228,8 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     for number in np.flatnonzero(passed < MIN_CROSSINGS):
         normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
         cosine = axis @ normal
+        if _is_recessed(sensors, cosine, (first, normal, along[number], float(lengths[ones[number], others[number]]))):
+            continue
         slanted = np.abs(cosine) < SPAN_INCIDENCE_COS
         reach = (first - sensors.face) @ normal / np.where(slanted, np.inf, cosine)
         at = sensors.face + reach[:, None] * axis
@@ -231,6 +245,29 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
         stopped = len(rows) - int(is_blocked(sensors.face[rows], at[rows], segments).sum())
         found.append(Span(int(ones[number]), int(others[number]), ends[number], stopped))
     return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
+
+
+def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, Floats, float]) -> bool:
+    """Return True if sonars that face a span have measured what is behind it: a door or a niche between its points.
+
+    A wall reflects into every cone that has its perpendicular well inside, so a longer range is of something behind it.
+
+    Parameters
+    ----------
+    sensors
+        (e,) sonars.
+    cosine
+        (e,) cosine of the angles between their axes and the normal of the span.
+    span
+        First point (2,), normal (2,), direction (2,) and length.
+    """
+    first, normal, along, length = span
+    away = (first - sensors.face) @ normal
+    foot = (sensors.face - first) @ along / length
+    faces = (cosine * np.sign(away) > FACING_COS) & (np.abs(away) < SPAN_SIGHT_IN)
+    faces &= (foot > SPAN_MARGIN) & (foot < 1.0 - SPAN_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
+    behind = int((sensors.range_in[faces] > np.abs(away[faces]) + RECESS_IN).sum())
+    return behind >= MIN_CROSSINGS and behind > 0.5 * int(faces.sum())
 
 
 def pass_through(walls: Floats, segments: Floats, within_in: float) -> Mask:
@@ -287,7 +324,7 @@ def _with_spans(
     """Return runs of feet; those on a line between the points of a span become one, from point to point."""
     for span in spans:
         ends = span.ends.reshape(2, 2)
-        if np.abs(ends @ line.normal - line.offset).max() > POINT_ON_LINE_IN:
+        if line.off(span.ends) > POINT_ON_LINE_IN:
             continue
         low, high = sorted((ends @ line.along).tolist())
         within = [run for run in runs if run[0] < high and run[1] > low]
