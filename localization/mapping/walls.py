@@ -55,10 +55,12 @@ SPAN_INCIDENCE_COS: Final = 0.35
 """From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
 SPAN_MARGIN: Final = 0.1
 """The outer tenths of a span belong to its points."""
-FACING_COS: Final = 0.99
-"""A sonar whose axis is within 8 degrees of the normal of a wall measures it, if its foot is on the wall."""
-RECESS_IN: Final = 3.0
-"""So much beyond a span, what a sonar measures is behind it."""
+FACING_COS: Final = 0.98
+"""A sonar whose axis is within 11 degrees of the normal of a wall measures it, if its foot is on the wall."""
+FACING_MARGIN: Final = 0.25
+"""The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
+RECESS_IN: Final = 1.5
+"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
 CLEAR_OF_ENDS_RAD: Final = radians(13.0)
 """A point farther off the axis than this, half of a cone, reflects nothing."""
 ON_LINE_IN: Final = 0.01
@@ -265,7 +267,7 @@ def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, F
     away = (first - sensors.face) @ normal
     foot = (sensors.face - first) @ along / length
     faces = (cosine * np.sign(away) > FACING_COS) & (np.abs(away) < SPAN_SIGHT_IN)
-    faces &= (foot > SPAN_MARGIN) & (foot < 1.0 - SPAN_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
+    faces &= (np.abs(foot - 0.5) < 0.5 - FACING_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
     behind = int((sensors.range_in[faces] > np.abs(away[faces]) + RECESS_IN).sum())
     return behind >= MIN_CROSSINGS and behind > 0.5 * int(faces.sum())
 

@@ -54,10 +54,11 @@ def echo(x: float, y: float, axis: float, *outlines: tuple[tuple[float, float], 
 
 
 def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in: Floats | None = None,
-          outlines: tuple[tuple[tuple[float, float], ...], ...] = (ROOM,)) -> DriveLog:  # fmt: skip
+          outlines: tuple[tuple[tuple[float, float], ...], ...] = (ROOM,),
+          points: tuple[tuple[float, float], ...] = LAP) -> DriveLog:  # fmt: skip
     """Return a lap with the random errors of `--odometry-noise 0.05,0.05,0.002`, or without any."""
     rng = np.random.default_rng(seed)
-    path = true_path()
+    path = true_path(points)
     # 1. Encoders: the true steps with noise, integrated from another origin.
     x, y, heading = -3.0, 7.0, 0.4
     rows = [(0.0, x, y, heading, heading)]

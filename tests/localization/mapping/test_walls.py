@@ -55,15 +55,34 @@ def test_wall_that_stops_sound_is_no_point(
     assert pass_through(opened.state.walls, south, 1.0).any() == stops_sound
 
 
-def test_points_with_sound_between_them_are_none(estimate: MapEstimate) -> None:
+def test_points_with_sound_between_them_are_none(estimate: MapEstimate, opened: MapEstimate) -> None:
     found = estimate.copy()
     found.add_point(np.array((20.0, 25.0)))
     found.add_point(np.array((50.0, 25.0)))
     assert uncrossed_spans(found, free_paths(found)) == []
     # Two paths decide it; a single one may be a mistaken echo.
-    across = np.array(((30.0, 0.0), (40.0, 0.0), (41.0, 0.0))), np.array(((30.0, 50.0), (40.0, 50.0), (41.0, 10.0)))
-    assert uncrossed_spans(found, across) == []
-    assert len(uncrossed_spans(found, (across[0][1:], across[1][1:]))) == 1
+    across = np.array(((30.0, 0.0), (40.0, 0.0), (41.0, 0.0))), np.array(((30.0, -50.0), (40.0, -50.0), (41.0, -10.0)))
+    assert {4, 5} not in [{span.one, span.other} for span in uncrossed_spans(opened, across)]
+    single = (across[0][1:], across[1][1:])
+    assert {4, 5} in [{span.one, span.other} for span in uncrossed_spans(opened, single)]
+
+
+def test_what_is_measured_behind_a_span_leaves_it_open(opened: MapEstimate) -> None:
+    # The wall is 6 in behind two points, as a door is behind its posts.
+    opened.add_point(np.array((10.0, -19.0)))
+    opened.add_point(np.array((50.0, -19.0)))
+    opened.associate()
+    pairs = [{span.one, span.other} for span in uncrossed_spans(opened, free_paths(opened))]
+    assert {4, 5} in pairs
+    assert {6, 7} not in pairs
+
+
+def test_span_belongs_to_the_line_nearest_to_it(opened: MapEstimate) -> None:
+    assert join_points(opened) == 1
+    before = len(extract_walls(opened))
+    angle, offset = opened.state.walls[-1]
+    opened.add_wall(np.array((angle, offset + 1.0)), opened.extents[-1])
+    assert len(extract_walls(opened)) == before
 
 
 def test_span_that_too_few_sonars_were_directed_at_is_visited(
