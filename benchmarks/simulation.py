@@ -30,8 +30,8 @@ from nserver_emu.server.daemon import GC_THRESHOLD
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
+from nserver_emu.simulation.visibility import NEAREST_OBSTACLE
 from worlds.geometry import FloatArray
-from worlds.raycast import NEAREST_OBSTACLE
 from worlds.raycast_arrays import cast_rays
 
 Result = dict[str, float | int | str]

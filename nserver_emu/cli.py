@@ -54,11 +54,11 @@ from nserver_emu.server.server_state import Allowed, SimulationClock
 from nserver_emu.service import STOPPING, ServiceManager, announced
 from nserver_emu.simulation.acoustics import FIRST_ECHO, Polaroid
 from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.visibility import NEAREST_OBSTACLE, load_compiled
 from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
 from worlds.io import load_world, world_names
-from worlds.raycast import NEAREST_OBSTACLE, load_compiled
 
 log = logging.getLogger(__name__)
 

@@ -1,7 +1,11 @@
-"""The ray caster: the range along a ray to the nearest wall or robot.
+"""The ray caster: the range along a ray to the nearest wall.
 
-Simulated sonars, the filter's prediction of a reading, and the course all call it: `nearest_wall` for walls in lists,
-`cast_ray` for walls in an array, `nearest_obstacle` with robots. Rays by the hundred are cast in raycast_arrays.py.
+    nearest_wall   walls in rows of numbers: the loop that simulated sonars and the filter run, as it stands or compiled
+    cast_ray       the same for walls in an array
+    sole_wall      for the filter: the only wall that a ray can meet while its origin is uncertain
+    ray_to_disc    range to a robot, which is a disc; those near a ray are found in nserver_emu/simulation/visibility.py
+
+Rays by the hundred are cast in raycast_arrays.py.
 
 For each wall, from p1 to p2, and a ray from o along the unit vector d:
 
@@ -12,7 +16,8 @@ For each wall, from p1 to p2, and a ray from o along the unit vector d:
                         range = (ahead_1 side_2 - ahead_2 side_1) / (side_2 - side_1)
     3. Nearest      the smallest range that is not behind
 
-The range is a mean of ahead_1 and ahead_2 with positive weights, so nothing cancels. Two walls that share an end agree
+Here d . v = dx v_x + dy v_y, and d x v = dx v_y - dy v_x. The range is a mean of ahead_1 and ahead_2 with positive
+weights, so nothing cancels. Two walls that share an end agree
 on its side, so no ray passes between them.
 
 References
@@ -20,14 +25,12 @@ References
 Ericson, Real-Time Collision Detection (2005): 5.1.9.1 for a segment (signed areas), 5.3.2 for a circle.
 """
 
-import sys
 from collections.abc import Iterable, Sequence
 from math import inf, sqrt
 from typing import Any, Final
 
 import numpy as np
 
-from worlds.compiled import CompiledFunction, is_compiled_for
 from worlds.geometry import MAX_LOOP_WALLS, FloatArray
 
 WallRows = Iterable[Sequence[float] | FloatArray]
@@ -45,10 +48,8 @@ ON_WALL_IN: Final = 1e-9
 """A ray that starts this little behind a wall starts on it, inches; for the same reason."""
 
 SAME_SIDE_IN2: Final = ON_LINE_IN * 4e5
-"""Two ends whose sides multiply to more than this lie clearly on one side: no side exceeds 4e5 in."""
-
-FAR_IN: Final = 1e6
-"""Farther than any wall."""
+"""Two ends whose sides multiply to more than this lie on one side, neither of them on the line: no side exceeds 4e5 in,
+so the smaller one exceeds ON_LINE_IN."""
 
 _NEVER_ZERO: Final = 1e-200
 """Added to a difference of sides: changes only 0, to avoid the division by it."""
@@ -117,12 +118,15 @@ def mean_ahead(ahead_1: Any, side_1: Any, ahead_2: Any, side_2: Any) -> Any:
 def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
     """Return range and row of `nearest_wall` for walls in an array (m, 4), contiguous, to the same bit.
 
-    Among many walls, those with ends on both sides are selected in arrays: an end times the conjugate of the direction
-    is ahead + i side. Some processors round such products once, others twice, so they decide no range.
+    Among many walls, those with ends on both sides are selected in arrays first. Some processors round a sum of
+    products once, others twice, so the arrays decide no range.
     """
     if len(walls) <= MAX_LOOP_WALLS:
         return nearest_wall(x, y, dx, dy, walls.tolist())
-    sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
+    # An end as a complex number, times the conjugate of the direction, is ahead + i side: one pass over both ends of
+    # all walls, and faster than dx * to_y - dy * to_x.
+    ends = walls.view(np.complex128)
+    sides = ((ends - complex(x, y)) * complex(dx, -dy)).imag
     rows = (sides[:, 0] * sides[:, 1] <= SAME_SIDE_IN2).nonzero()[0]
     nearest, at = nearest_wall(x, y, dx, dy, walls.take(rows, axis=0).tolist())
     return nearest, NO_WALL if at == NO_WALL else int(rows[at])
@@ -131,13 +135,22 @@ def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tup
 def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_in: float) -> int:
     """Return the row of the only wall that this ray and all rays near it can meet; NO_WALL if that is uncertain.
 
-    A ray is near if it moves no end of a wall by more than the margin in the frame of the ray, and its origin by no
-    more than that. This is a test of one loop, and sufficient only: where it fails, cast the rays.
+    The filter asks this before it casts rays from displaced poses, and most often need not cast them
+    (localization/filters/sonar_ray.py).
+
+    Parameters
+    ----------
+    margin_in
+        A ray is near if it moves no end of a wall by more than this in the frame of the ray, nor its origin, inches.
+
+    Returns
+    -------
+    int
+        The condition is sufficient only: for NO_WALL, cast the rays.
     """
-    sole, row = NO_WALL, -1
+    sole = NO_WALL
     origin_side, origin_ahead = dx * y - dy * x, x * dx + y * dy
-    for x1, y1, x2, y2 in walls:
-        row += 1
+    for row, (x1, y1, x2, y2) in enumerate(walls):
         # 1. Both ends clearly on one side, or clearly behind: no near ray meets the wall.
         side_1, side_2 = dx * y1 - dy * x1 - origin_side, dx * y2 - dy * x2 - origin_side
         if (side_1 > margin_in and side_2 > margin_in) or (side_1 < -margin_in and side_2 < -margin_in):
@@ -145,16 +158,16 @@ def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_
         ahead_1, ahead_2 = x1 * dx + y1 * dy - origin_ahead, x2 * dx + y2 * dy - origin_ahead
         if ahead_1 < -margin_in and ahead_2 < -margin_in:
             continue
-        # 2. The ends clearly on different sides, the origin clearly on one side of the wall: all near rays meet it
-        #    ahead, or none does. The weighted mean of `intersect`: the cross product is the distance to the wall times
-        #    its length.
+        # 2. The distance of the origin from the wall's line, times the wall's length: (p_1 - o) x (p_2 - o).
         cross = ahead_1 * side_2 - ahead_2 * side_1
+        # 3. Uncertain unless the ends are clearly on different sides, and the origin is clearly off the wall's line.
         if (
             abs(side_1) <= margin_in
             or abs(side_2) <= margin_in
             or abs(cross) <= margin_in * (abs(x2 - x1) + abs(y2 - y1))
         ):
             return NO_WALL
+        # 4. All near rays meet the wall ahead, where range = cross / (side_2 - side_1) is positive, or none does.
         if (cross > 0.0) == (side_2 > side_1):
             if sole != NO_WALL:
                 return NO_WALL
@@ -176,80 +189,3 @@ def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float] 
         return inf
     half_chord = sqrt(radius * radius - side * side)
     return inf if ahead + half_chord < 0.0 else max(ahead - half_chord, 0.0)
-
-
-def nearest_disc(
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    wall_in: float,
-    discs: Sequence[Sequence[float]] | FloatArray,
-    own: int,
-    max_radius_in: float,
-    max_range_in: float,
-) -> float:
-    """Return the range from (x, y) along the unit vector (dx, dy) to the nearest disc, or to a nearer wall, inches.
-
-    Parameters
-    ----------
-    wall_in
-        Range to the nearest wall, inches; inf for none.
-    discs
-        Rows x y radius number, sorted by x; number `own` is not met.
-    max_radius_in
-        No less than any radius.
-    max_range_in
-        Discs whose x is farther than this are not met.
-    """
-    # 1. The interval of x in which a disc can be nearer than the wall, and its first row by bisection.
-    reach_x = min(wall_in, FAR_IN) * dx
-    low = max(x + min(reach_x, 0.0) - max_radius_in, x - max_range_in)
-    high = min(x + max(reach_x, 0.0) + max_radius_in, x + max_range_in)
-    row, end = 0, len(discs)
-    while row < end:
-        middle = (row + end) // 2
-        if discs[middle][0] < low:
-            row = middle + 1
-        else:
-            end = middle
-    # 2. The nearest of the discs in it.
-    nearest = wall_in
-    while row < len(discs) and discs[row][0] <= high:
-        if discs[row][3] != own:
-            nearest = min(nearest, ray_to_disc(x, y, dx, dy, discs[row]))
-        row += 1
-    return nearest
-
-
-def nearest_obstacle(
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    walls: FloatArray,
-    discs: FloatArray,
-    own: int,
-    max_radius_in: float,
-    max_range_in: float,
-) -> float:
-    """Return the range to the nearest of walls (m, 4) and discs (k, 4), as `nearest_disc`: what is compiled."""
-    rows = zip(walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3])  # noqa: B905  for numba
-    wall_in = nearest_wall(x, y, dx, dy, rows)[0]
-    return nearest_disc(x, y, dx, dy, wall_in, discs, own, max_radius_in, max_range_in)
-
-
-def _example() -> tuple[Any, ...]:
-    walls = np.zeros((1, 4))
-    walls.setflags(write=False)
-    return 0.0, 0.0, 1.0, 0.0, walls, np.zeros((0, 4)), 0, 1.0, 1.0
-
-
-NEAREST_OBSTACLE: Final = CompiledFunction(nearest_obstacle, lambda: (sys.modules[__name__],), _example)
-"""`nearest_obstacle`, for read-only walls, where it is compiled; plain, `cast_ray` and `nearest_disc` are faster."""
-
-
-def load_compiled(robots: int) -> None:
-    """Compile `NEAREST_OBSTACLE`, or load it, if NOMAD_COMPILED asks for it with so many robots."""
-    if not NEAREST_OBSTACLE.is_compiled and is_compiled_for(robots):
-        NEAREST_OBSTACLE.load()

@@ -19,8 +19,8 @@ from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
 from nserver_emu.simulation.spatial_hash import Disc, SpatialHash
+from nserver_emu.simulation.visibility import load_compiled
 from nserver_emu.simulation.walkers import SimulatedWalker, WalkerState
-from worlds.raycast import load_compiled
 from worlds.schema import MAX_COORDINATE_IN
 from worlds.world import (
     MAX_CORNERS,

@@ -21,9 +21,8 @@ import numpy as np
 from nclient.protocol.types import MAX_SONAR_RATE, SONAR_RATE_STEP_S
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors, range_std_in
 from nserver_emu.simulation.segments import NO_STAMP, PS_PER_S, TIME_MAX_PS, SegmentTime, Stamp
-from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, SensorPose
+from nserver_emu.simulation.visibility import NEAREST_OBSTACLE, SensorPose, nearest_disc
 from worlds.geometry import FloatArray, near_walls
-from worlds.raycast import NEAREST_OBSTACLE, nearest_disc
 from worlds.raycast_arrays import cast_each
 from worlds.robots import Body
 
@@ -119,13 +118,11 @@ def ranges_from_axis(pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], 
     if NEAREST_OBSTACLE.is_compiled:
         cast = NEAREST_OBSTACLE.run
         return [
-            cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in, MAX_ROBOT_RANGE_IN)
+            cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in)
             for ray, pose in zip(rays, sensor_poses, strict=True)
         ]
     return [
-        nearest_disc(
-            *ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in, MAX_ROBOT_RANGE_IN
-        )
+        nearest_disc(*ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in)
         for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)
     ]
 

@@ -1,4 +1,4 @@
-"""The positions of other robots as sensors see them: sensor poses, and the robots in range.
+"""The positions of other robots as sensors see them: sensor poses, the robots in range, and the nearest on a ray.
 
 The positions at an instant are shared by all sensors that look at that instant. They may be computed later than they
 are requested, but before any sensor uses them.
@@ -6,14 +6,19 @@ are requested, but before any sensor uses them.
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from functools import cached_property
 from math import inf
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from worlds import raycast
+from worlds.compiled import CompiledFunction, is_compiled_for
 from worlds.geometry import NO_DISCS, FloatArray
+from worlds.raycast import nearest_wall, ray_to_disc
 
 MAX_ROBOT_RANGE_IN: Final = 500.0
 """No sensor notices a robot from farther away: readings end at 255 in, second echoes at about 400."""
@@ -97,3 +102,90 @@ class SensorPose(NamedTuple):
         discs = self.robots.discs.take(rows[rows != self.self_index], axis=0)
         others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= MAX_ROBOT_RANGE_IN]
         return others
+
+
+# The nearest robot on a ray.
+
+FAR_IN: Final = 1e6
+"""Farther than any wall."""
+
+
+def nearest_disc(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    wall_in: float,
+    discs: Sequence[Sequence[float]] | FloatArray,
+    own: int,
+    max_radius_in: float,
+) -> float:
+    """Return the range from (x, y) along the unit vector (dx, dy) to the nearest robot, or to a nearer wall, inches.
+
+    Parameters
+    ----------
+    wall_in
+        Range to the nearest wall, inches; inf for none.
+    discs
+        Rows x y radius row, sorted by x: `RobotPositions.rows` or `sorted`. Row `own` is not met, nor are those whose x
+        is farther than MAX_ROBOT_RANGE_IN.
+    max_radius_in
+        No less than any radius.
+    """
+    # 1. The interval of x in which a disc can be nearer than the wall.
+    reach_x = min(wall_in, FAR_IN) * dx
+    low = max(x + min(reach_x, 0.0) - max_radius_in, x - MAX_ROBOT_RANGE_IN)
+    high = min(x + max(reach_x, 0.0) + max_radius_in, x + MAX_ROBOT_RANGE_IN)
+    # 2. The nearest of the discs in it.
+    nearest = wall_in
+    for index in range(_first_from(discs, low), len(discs)):
+        disc = discs[index]
+        if disc[0] > high:
+            break
+        if disc[3] != own:
+            nearest = min(nearest, ray_to_disc(x, y, dx, dy, disc))
+    return nearest
+
+
+def _first_from(discs: Sequence[Sequence[float]] | FloatArray, low: float) -> int:
+    """Return the index of the first disc whose x is at least `low`: bisect_left, which numba does not have."""
+    begin, end = 0, len(discs)
+    while begin < end:
+        middle = (begin + end) // 2
+        if discs[middle][0] < low:
+            begin = middle + 1
+        else:
+            end = middle
+    return begin
+
+
+def nearest_obstacle(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    walls: FloatArray,
+    discs: FloatArray,
+    own: int,
+    max_radius_in: float,
+) -> float:
+    """Return the range along a ray to the nearest wall (m, 4) or robot: `nearest_wall`, then `nearest_disc`."""
+    rows = zip(walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3])  # noqa: B905  for numba
+    wall_in = nearest_wall(x, y, dx, dy, rows)[0]
+    return nearest_disc(x, y, dx, dy, wall_in, discs, own, max_radius_in)
+
+
+def _example() -> tuple[Any, ...]:
+    walls = np.zeros((1, 4))
+    walls.setflags(write=False)
+    return 0.0, 0.0, 1.0, 0.0, walls, np.zeros((0, 4)), 0, 1.0
+
+
+NEAREST_OBSTACLE: Final = CompiledFunction(nearest_obstacle, lambda: (raycast, sys.modules[__name__]), _example)
+"""`nearest_obstacle`, for read-only walls, where it is compiled; plain, `cast_each` and `nearest_disc` are faster."""
+
+
+def load_compiled(robots: int) -> None:
+    """Compile `NEAREST_OBSTACLE`, or load it, if NOMAD_COMPILED asks for it with so many robots."""
+    if not NEAREST_OBSTACLE.is_compiled and is_compiled_for(robots):
+        NEAREST_OBSTACLE.load()

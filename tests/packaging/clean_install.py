@@ -49,7 +49,9 @@ class Check(NamedTuple):
 
 LOCALIZE = ("nomad", "localize", "sim:thesis_room?noisy=1&seed=3", "--map", "thesis_room", "--waypoints", "0,0", "10,0")
 EXPERIMENT = ("python", "-m", "localization.experiments", "5.2", "--seeds", "1")
-MACHINE_CODE = "from worlds.raycast import NEAREST_OBSTACLE; print('loaded', NEAREST_OBSTACLE.load())"
+MACHINE_CODE = (
+    "from nserver_emu.simulation.visibility import NEAREST_OBSTACLE; print('loaded', NEAREST_OBSTACLE.load())"
+)
 WRITE_MCAP = (
     "import sys; from pathlib import Path; from nclient.cli.main import main; "
     "from nclient.recording.convert import write_drive; from nclient.recording.drive import Drive, Sample; "

@@ -7,8 +7,8 @@ import pytest
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.visibility import NEAREST_OBSTACLE, nearest_obstacle
 from worlds.compiled import CompiledFunction
-from worlds.raycast import NEAREST_OBSTACLE, nearest_obstacle
 from worlds.world import Polygon, StartPose, World
 
 

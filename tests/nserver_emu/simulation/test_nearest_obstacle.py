@@ -10,13 +10,19 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nclient.errors import VariableError
-from worlds import raycast
+from nserver_emu.simulation import visibility
+from nserver_emu.simulation.visibility import (
+    MAX_ROBOT_RANGE_IN,
+    NEAREST_OBSTACLE,
+    load_compiled,
+    nearest_disc,
+    nearest_obstacle,
+)
 from worlds.compiled import CROWD, VARIABLE, CompiledFunction
 from worlds.geometry import FloatArray, polygon_segments
-from worlds.raycast import NEAREST_OBSTACLE, cast_ray, load_compiled, nearest_disc, nearest_obstacle
+from worlds.raycast import cast_ray
 from worlds.raycast_arrays import cast_discs
 
-MAX_RANGE_IN = 500.0
 WHOLE = st.integers(-6, 6).map(float)
 """Whole numbers let corners, ends and starts fall on rays exactly, where the branches are."""
 COORDINATE = WHOLE | st.floats(-300.0, 300.0)
@@ -63,12 +69,12 @@ def test_compiled_scalar_and_array_results_are_equal(
 ) -> None:
     robots = by_x(discs)
     walls.setflags(write=False)
-    handed = *place, *direction, walls, robots, own, 20.0, MAX_RANGE_IN
+    handed = *place, *direction, walls, robots, own, 20.0
     found, in_numbers = kernel.run(*handed), float(nearest_obstacle(*handed))
-    in_reach = np.abs(robots[:, 0] - place[0]) <= MAX_RANGE_IN
+    in_reach = np.abs(robots[:, 0] - place[0]) <= MAX_ROBOT_RANGE_IN
     to_disc = float(cast_discs(place, direction, robots[(robots[:, 3] != own) & in_reach, :3]))
     to_wall = cast_ray(*place, *direction, walls)[0] if len(walls) else inf
-    in_lists = nearest_disc(*place, *direction, to_wall, robots.tolist(), own, 20.0, MAX_RANGE_IN)
+    in_lists = nearest_disc(*place, *direction, to_wall, robots.tolist(), own, 20.0)
     assert found.hex() == in_numbers.hex() == in_lists.hex() == min(to_wall, to_disc).hex()
 
 
@@ -77,7 +83,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return the sizes of groups at which code was compiled: empty."""
     compiled: list[int] = []
     own = unloaded()
-    monkeypatch.setattr(raycast, "NEAREST_OBSTACLE", own)
+    monkeypatch.setattr(visibility, "NEAREST_OBSTACLE", own)
     monkeypatch.setattr(own, "load", lambda: compiled.append(1))
     monkeypatch.delenv(VARIABLE, raising=False)
     return compiled
@@ -110,6 +116,6 @@ def test_invalid_variable_is_refused(fresh: list[int], monkeypatch: pytest.Monke
 
 
 def test_compiled_code_is_loaded_once(fresh: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raycast.NEAREST_OBSTACLE, "is_compiled", True)
+    monkeypatch.setattr(visibility.NEAREST_OBSTACLE, "is_compiled", True)
     load_compiled(CROWD)
     assert not fresh
