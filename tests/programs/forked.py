@@ -29,7 +29,7 @@ _CONTEXT.set_forkserver_preload([
     "nclient.cli.main", "nclient.cli.bridge", "nclient.cli.doctor", "nclient.cli.play",
     "nclient.cli.shell", "nclient.cli.state", "nclient.cli.stop", "nclient.cli.dump",
     "localization.cli.calibrate", "localization.cli.localize", "localization.cli.mission", "localization.cli.go",
-    "localization.cli.map",
+    "localization.cli.map", "tests.programs.preloaded",
 ])  # fmt: skip
 
 
