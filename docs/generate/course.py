@@ -24,7 +24,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
-import jupytext
 from PIL import Image
 
 ROOT: Final = Path(__file__).parents[2]
@@ -45,6 +44,8 @@ TIMEOUT_S: Final = 300
 
 def notebook(name: str) -> Any:
     """Return a notebook: cells of the source, with fixed ids and without outputs."""
+    import jupytext
+
     source = (COURSE / "source" / f"{name}.py").read_text(encoding="utf-8")
     made = jupytext.reads(source, fmt="py:percent")
     for number, cell in enumerate(made.cells):
@@ -59,11 +60,15 @@ def notebook(name: str) -> Any:
 
 def text(name: str) -> str:
     """Return the file of a notebook."""
+    import jupytext
+
     return str(jupytext.writes(notebook(name), fmt="ipynb")) + "\n"
 
 
 def solved(name: str, *, quick: bool = False, address: str = "") -> Any:
     """Return a notebook with the solutions in its tasks, and with another address if one is given."""
+    import jupytext
+
     made = jupytext.reads((COURSE / "source" / f"{name}.py").read_text(encoding="utf-8"), fmt="py:percent")
     solution = (COURSE / "solutions" / f"{name}.py").read_text(encoding="utf-8")
     functions = {node.name: ast.get_source_segment(solution, node) for node in ast.parse(solution).body
@@ -121,6 +126,8 @@ def write_pictures(name: str, found: list[bytes], folder: Path) -> None:
 
 def grade_class() -> None:
     """Grade three submissions of each notebook: with the solutions, without, and the solutions as a file."""
+    import jupytext
+
     with tempfile.TemporaryDirectory() as folder:
         for name in NAMES:
             jupytext.write(solved(name), f"{folder}/{name}-solved.ipynb")

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import pytest
 
 from docs.generate import course
 from localization.course.tasks import Verdict, all_tasks, check
 
-mpl.use("agg")
 pytestmark = pytest.mark.long
 NAMES = course.NAMES
 
@@ -21,6 +19,9 @@ NAMES = course.NAMES
 @pytest.fixture(autouse=True)
 def pictures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[list[int]]:
     """Run in an empty folder, and count the pictures that are shown."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
     import matplotlib.pyplot as plt
 
     shown: list[int] = []

@@ -6,7 +6,6 @@ from math import exp, log
 
 import numpy as np
 import pytest
-from scipy.stats import gamma, norm, poisson
 
 from localization.filters.belief import independent
 from localization.filters.health import (
@@ -129,6 +128,8 @@ SLIPPING = HealthLimits(slip_nats=6.0)
 
 def densities_ratio(innovation: float, std: float, shift: float) -> float:
     """Log ratio of two normal densities with outliers: no density falls below that of MAX_NIS."""
+    from scipy.stats import norm
+
     floor = float(norm.logpdf(np.sqrt(MAX_NIS) * std, 0.0, std))
     shifted, expected = norm.logpdf(innovation, shift, std), norm.logpdf(innovation, 0.0, std)
     return max(float(shifted), floor) - max(float(expected), floor)
@@ -231,6 +232,8 @@ def test_probability_of_a_slip_is_by_bayes_rule() -> None:
 
 def test_wheels_that_slipped_are_expected_to_slip_again() -> None:
     """The mean of the rate given its slips, by integration of prior times the Poisson probability of the count."""
+    from scipy.stats import gamma, poisson
+
     test, rounds, slips = SlipTest(), 120.0, 4
     for _ in range(slips):
         test.count()

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
@@ -51,7 +51,7 @@ def test_quantile_of_the_whole_is_that_of_scipy(estimate: MapEstimate) -> None:
     rng = np.random.default_rng(2)
     whole = check_parts(with_residuals(estimate, rng.normal(size=len(estimate.assignment.feature))))[0]
     # Independent residuals: their correlation of about 0.04 leaves 99.7 % of the degrees of freedom.
-    assert whole.limit == pytest.approx(chi2.ppf(1.0 - RISK, whole.freedom), rel=0.002)
+    assert whole.limit == pytest.approx(chdtri(whole.freedom, RISK), rel=0.002)
     assert 0.9 < whole.total / whole.freedom < 1.1
     assert whole.excess < 1.0
 
@@ -65,7 +65,7 @@ def test_correlated_neighbours_count_for_less(estimate: MapEstimate) -> None:
         for before, after in pairwise(echoes):
             correlated[after] = 0.4 * correlated[before] + (1.0 - 0.4**2) ** 0.5 * noise[after]
     independent, dependent = (check_parts(with_residuals(estimate, r))[0] for r in (noise, correlated))
-    assert independent.limit < dependent.limit < chi2.ppf(1.0 - RISK, independent.freedom * 0.6) / 0.6
+    assert independent.limit < dependent.limit < chdtri(independent.freedom * 0.6, RISK) / 0.6
 
 
 def test_part_that_contradicts_refuses_the_map(estimate: MapEstimate) -> None:
