@@ -9,8 +9,8 @@ import sys
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.missions import Mission
-from localization.missions.controller import RobotController
+from localization.navigation.controller import RobotController
+from localization.navigation.mission import Mission
 from nclient import connect
 from worlds.io import load_world
 from worlds.robots import BODIES

@@ -23,8 +23,8 @@ from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, format_entry, read_recording
 from nclient.recording.recorder import TCP, FrameDecoder
 from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges
-from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.recording import RunHeader, replay
+from nserver_emu.control import snapshot
+from nserver_emu.control.recording import RunHeader, replay
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.server_state import Allowed, SimulationClock

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader, input_file
-from localization.missions.steps import load_mission
+from localization.navigation.mission_steps import load_mission
 from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
 from nclient.faults.plan import KINDS, load_plan, parse_plan, plan_text
 from nserver_emu.server.legacy_setup import read_setups

@@ -6,10 +6,8 @@ filters/          belief, odometry, sonar models, and the filters (EKF, UKF, smo
 record            a recorded drive to waypoints
 plot              plots of a run: trajectory, errors, innovations, NEES
 live/             the localizer of a connected robot: states in, estimates out; saved estimates, publishing, pictures
-navigation/       paths, roadmap, planner, path follower, obstacles, pilot
+navigation/       paths, roadmap, planner, path follower, obstacles, pilot, calibration drive, missions
 mapping/          observability of maps
-calibration/      systematic errors of wheels and sonars
-missions/         missions as programs or lists of steps
 cli/              the commands localize, go, mission, calibrate, map of `nomad`
 experiments/      figures of the thesis and further experiments with simulated robots
 """

@@ -31,15 +31,14 @@ from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.format import read_recording
 from nserver_emu import logs
-from nserver_emu.control import cli
+from nserver_emu.control import cli, snapshot
+from nserver_emu.control.recording import RunHeader, replay
+from nserver_emu.control.save_options import SaveFile, autosaved, resolve_restore
 from nserver_emu.control.socket import controlled, may_have_faults
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
-from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.options import SaveFile, autosaved, resolve_restore
-from nserver_emu.persistence.recording import RunHeader, replay
 from nserver_emu.ros.options import running_ros
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements

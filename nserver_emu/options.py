@@ -22,9 +22,9 @@ from nclient.common.arguments import (
 )
 from nclient.common.hints import suggest
 from nserver_emu import logs
+from nserver_emu.control import save_options as restore_options
 from nserver_emu.control import socket as control_options
 from nserver_emu.gateway import run as real_options
-from nserver_emu.persistence import options as restore_options
 from nserver_emu.ros import options as ros_options
 from nserver_emu.server import limits, serial_lines
 from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES

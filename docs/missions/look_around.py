@@ -1,6 +1,6 @@
 """Drive to the middle of the room of figure 5.8, look in four directions, and return along given points."""
 
-from localization.missions import Mission, OnLost, Settings, StepFailed
+from localization.navigation.mission import Mission, OnLost, Settings, StepFailed
 
 settings = Settings(title="Look around", map="several_walls", time_limit_s=300, on_lost=OnLost.SEARCH)
 

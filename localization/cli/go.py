@@ -13,8 +13,15 @@ from math import degrees, inf
 
 from localization.cli.arguments import parse_numbers
 from localization.cli.mission import add_mission_options, execute_mission, open_mission
-from localization.missions.controller import Observation
-from localization.missions.settings import MAX_TIME_S, MAX_WITHIN_IN, MIN_TIME_S, MIN_WITHIN_IN, OnLost, Settings
+from localization.navigation.controller import Observation
+from localization.navigation.mission_settings import (
+    MAX_TIME_S,
+    MAX_WITHIN_IN,
+    MIN_TIME_S,
+    MIN_WITHIN_IN,
+    OnLost,
+    Settings,
+)
 from localization.navigation.waypoints import STOP_RADIUS_IN
 from nclient.common.arguments import add_address, add_value, number
 

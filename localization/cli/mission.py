@@ -21,11 +21,11 @@ from localization.live.background_search import filter_on_robot
 from localization.live.localizer import Echo
 from localization.live.publish import Publisher
 from localization.live.run import GroundTruth
-from localization.missions.controller import ProgressPublisher, RobotController
-from localization.missions.mission import Mission, run_mission
-from localization.missions.report import Report
-from localization.missions.settings import Point, Settings
-from localization.missions.steps import load_mission
+from localization.navigation.controller import ProgressPublisher, RobotController
+from localization.navigation.mission import Mission, run_mission
+from localization.navigation.mission_report import Report
+from localization.navigation.mission_settings import Point, Settings
+from localization.navigation.mission_steps import load_mission
 from nclient import NomadError, Robot
 from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.files import write_errors_as

@@ -23,9 +23,9 @@ from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
-from localization.missions.controller import Observation, RobotController
-from localization.missions.mission import Mission, run_mission
-from localization.missions.settings import Settings
+from localization.navigation.controller import Observation, RobotController
+from localization.navigation.mission import Mission, run_mission
+from localization.navigation.mission_settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import Roadmap
 from nclient.common.arguments import Parser, add_value

@@ -1,1 +1,1 @@
-"""Path planning, path following and point-to-point navigation on an estimate."""
+"""Path planning, path following, driving to waypoints and missions on an estimate."""

@@ -1,1 +1,1 @@
-"""Runtime control of a daemon: the control socket, its commands, and `nserver ctl`."""
+"""Control of a daemon: the control socket, its commands and `nserver ctl`; snapshots, recordings and replays."""

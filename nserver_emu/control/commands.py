@@ -22,7 +22,7 @@ from nclient.common.hints import suggest, version
 from nclient.errors import ControlError, NomadError
 from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
-from nserver_emu.persistence import snapshot
+from nserver_emu.control import snapshot
 from nserver_emu.server.handlers import doors_and_walkers, runtime_settings
 from nserver_emu.server.handlers.server import MAX_STEP_MS
 from nserver_emu.server.handlers.table import Emulator

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 from msgspec.inspect import StructType, multi_type_info
 
-from localization.missions.steps import CONDITIONS, Step, parse_program, parse_step_list
+from localization.navigation.mission_steps import CONDITIONS, Step, parse_program, parse_step_list
 from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
 
 PAGE = "missions.md"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.steps import load_mission
+from localization.navigation.mission_steps import load_mission
 from nclient.errors import NomadError
 from nclient.faults.plan import load_plan
 from nserver_emu.simulation.models import load_models

@@ -17,7 +17,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from fuzz.text_files import _MODEL, _SETUP, _STEPS, _WORLD
-from localization.missions.steps import parse_step_list
+from localization.navigation.mission_steps import parse_step_list
 from nclient.cli.main import main
 from nclient.cli.schema import file_schema
 from nclient.common.files import parse_toml
@@ -169,7 +169,7 @@ SEEDS = {
 def test_schema_and_reader_agree(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # The reader gets the mutated tables themselves: they need not be written as TOML.
     mutant: dict[str, Any] = {}
-    for module in ("worlds.schema.files", "localization.missions.steps", "nclient.faults.plan"):
+    for module in ("worlds.schema.files", "localization.navigation.mission_steps", "nclient.faults.plan"):
         monkeypatch.setattr(f"{module}.parse_toml", lambda *_: copy.deepcopy(mutant))
     refused = 0
     for mutant in chain.from_iterable(mutants(tomllib.loads(seed)) for seed in SEEDS[kind]):

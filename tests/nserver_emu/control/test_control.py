@@ -16,8 +16,8 @@ import pytest
 
 from fuzz.messages import FakeServer
 from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
+from nserver_emu.control import snapshot
 from nserver_emu.control.commands import BY_NAME, answer_line, answer_line_in_thread
-from nserver_emu.persistence import snapshot
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController

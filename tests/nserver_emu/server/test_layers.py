@@ -8,7 +8,7 @@ from math import cos, hypot, sin
 
 import pytest
 
-from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.control.snapshot import dumps, loads
 from nserver_emu.server.graphics import MAX_POINTS, POINT_SPACING_IN, REMOVED_TOGETHER, Layer, Trace
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200

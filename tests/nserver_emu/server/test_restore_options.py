@@ -9,7 +9,7 @@ import pytest
 from nclient import connect
 from nclient.errors import SnapshotError
 from nserver_emu import cli
-from nserver_emu.persistence import snapshot
+from nserver_emu.control import snapshot
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import SimulationClock
@@ -216,7 +216,7 @@ def test_a_saved_run_continues_from_its_file(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
-    caplog.set_level("INFO", "nserver_emu.persistence.options")
+    caplog.set_level("INFO", "nserver_emu.control.save_options")
     assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
     assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
     assert started[0].clock == SAVED_PACE

@@ -8,7 +8,7 @@ from math import remainder, tau
 import pytest
 
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.control.snapshot import dumps, loads
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.axis import Axis
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel

@@ -7,7 +7,7 @@ import pytest
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.control.snapshot import dumps, loads
 from nserver_emu.server.graphics import MAX_UTTERANCES, SpeechLog, Utterance
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, NO_STAMP, Mask, Position, volts
-from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.control.snapshot import dumps, loads
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import clock_ms, volts_raw
 from nserver_emu.simulation.models import N150, N200, SCOUT

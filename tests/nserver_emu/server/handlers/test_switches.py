@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nclient.errors import ControlError, WorldFileError
-from nserver_emu.persistence import snapshot
+from nserver_emu.control import snapshot
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.runtime_settings import (
     MAX_EXPORTED_WORLDS,

@@ -26,7 +26,7 @@ from nclient.errors import NomadError, RecordingError
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
-from nserver_emu.persistence import snapshot
+from nserver_emu.control import snapshot
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.doors_and_walkers import change_door, change_walker

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from localization.missions.mission import Mission
-from localization.missions.report import MissionOver, StepFailed
-from localization.missions.steps import parse_program
+from localization.navigation.mission import Mission
+from localization.navigation.mission_report import MissionOver, StepFailed
+from localization.navigation.mission_steps import parse_program
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, RobotRefused
 
@@ -43,7 +43,7 @@ def test_program_runs_and_exception_is_reported_with_line() -> None:
     # A recorder in place of the robot: the program's calls, without driving.
     robot: Any = CallRecorder()
     program = parse_program(
-        "from localization.missions import Settings\nsettings = Settings(title='T')\n"
+        "from localization.navigation.mission import Settings\nsettings = Settings(title='T')\n"
         "def mission(robot):\n    robot.go_to(1, 2)\n    {}['x']\n", "m.py",
     )  # fmt: skip
     assert program.settings.title == "T"
@@ -145,7 +145,7 @@ def test_signal_during_load_passes_unchanged() -> None:
 
 
 def test_refused_argument_is_reported_with_its_line() -> None:
-    text = "from localization.missions import Settings\n\nsettings = Settings(time_limit_s='300')\n"
+    text = "from localization.navigation.mission import Settings\n\nsettings = Settings(time_limit_s='300')\n"
     with pytest.raises(MissionFileError) as refused:
         parse_program(text, "m.py")
     # The message has file, line, name of the setting, range and the value.

@@ -25,8 +25,8 @@ from localization.cli.arguments import (
     parse_seconds,
 )
 from localization.live import saved_estimate
-from localization.missions.mission import Mission, run_mission
-from localization.missions.report import Report, Step, StepFailed
+from localization.navigation.mission import Mission, run_mission
+from localization.navigation.mission_report import Report, Step, StepFailed
 from localization.navigation.waypoints import stop_on_exit
 from nclient.cli.main import main
 from nclient.common.process import TerminatedBySignal

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.missions.mission import Seen
-from localization.missions.settings import OnLost, Settings
-from localization.missions.steps import MAX_BYTES, load_mission, parse_step_list
+from localization.navigation.mission import Seen
+from localization.navigation.mission_settings import OnLost, Settings
+from localization.navigation.mission_steps import MAX_BYTES, load_mission, parse_step_list
 from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
@@ -189,7 +189,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | N
     ("name", "text", "expected"),
     [
         ("m.toml", '# x\nmap = "several_wals"\n[[step]]\ndo = "look"\n', "line 2: map: several_wals: no such file"),
-        ("m.py", "from localization.missions import Settings\nsettings = Settings(map='several_wals')\n"
+        ("m.py", "from localization.navigation.mission import Settings\nsettings = Settings(map='several_wals')\n"
          "def mission(robot): pass\n", "settings: map: several_wals: no such file"),
     ],
 )  # fmt: skip

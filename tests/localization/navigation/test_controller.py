@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from localization.missions.controller import RobotController
+from localization.navigation.controller import RobotController
 from localization.navigation.limits import VelocityCommand
 from nclient.errors import BumperHit, ConnectionLost
 

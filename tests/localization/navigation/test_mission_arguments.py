@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.missions.mission import Mission
-from localization.missions.settings import check_arguments, read_points
+from localization.navigation.mission import Mission
+from localization.navigation.mission_settings import check_arguments, read_points
 from nclient.errors import MissionFileError
 
 

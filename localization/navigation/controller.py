@@ -19,8 +19,8 @@ from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
 from localization.live.publish import Publisher, build_message
 from localization.live.run import GroundTruth
-from localization.missions.settings import Point
 from localization.navigation.limits import MODEL_LIMITS, STAND, StateGapLimiter, VelocityCommand
+from localization.navigation.mission_settings import Point
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, update_obstacles
 from localization.navigation.roadmap import Planner
 from localization.navigation.waypoints import (

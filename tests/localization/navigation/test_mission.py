@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from localization.missions.controller import RobotController
-from localization.missions.mission import Mission, run_mission
-from localization.missions.report import MissionOver, StepFailed
-from localization.missions.settings import Settings
+from localization.navigation.controller import RobotController
+from localization.navigation.mission import Mission, run_mission
+from localization.navigation.mission_report import MissionOver, StepFailed
+from localization.navigation.mission_settings import Settings
 from localization.navigation.path import angle_difference
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, NomadError, RobotHeld

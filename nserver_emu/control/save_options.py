@@ -31,7 +31,7 @@ from typing import Final
 
 from nclient.common.arguments import number
 from nclient.errors import NomadError, SnapshotError
-from nserver_emu.persistence import snapshot
+from nserver_emu.control import snapshot
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.legacy_setup import read_setups
 from worlds.io import DEFAULT_WORLD

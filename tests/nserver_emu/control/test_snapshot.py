@@ -21,8 +21,8 @@ from nclient.errors import SnapshotError
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING
-from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.snapshot import decoder, validate_snapshot
+from nserver_emu.control import snapshot
+from nserver_emu.control.snapshot import decoder, validate_snapshot
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.graphics import MAX_POINTS, Figure
 from nserver_emu.server.handlers.table import Emulator
@@ -373,7 +373,7 @@ def test_a_group_with_realistic_sonars_passes_the_trial() -> None:
 
 def test_the_trial_refuses_overflowing_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     state = open_address("sim:thesis_room").emulator.simulation.to_state()
-    monkeypatch.setattr("nserver_emu.persistence.snapshot.state_slots", lambda *_: np.array([1e308]) * 1e308)
+    monkeypatch.setattr("nserver_emu.control.snapshot.state_slots", lambda *_: np.array([1e308]) * 1e308)
     with pytest.raises(FloatingPointError):
         validate_snapshot(state)
 

@@ -18,7 +18,7 @@ from nclient.protocol.serial_framing import SerialFrame, SerialFramer
 from nclient.protocol.types import N150, Model
 from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import Recording, read_recording
-from nserver_emu.persistence.recording import RunHeader, replay
+from nserver_emu.control.recording import RunHeader, replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import Daemon

@@ -7,9 +7,9 @@
 
 Each step returns when it is done and raises StepFailed when it cannot be; `limit_s` (seconds of the robot's clock) and
 `retries` apply to each. Time passes only in periods of the controller, so every step ends: by itself, by its limit or
-the mission's, by the fence, or because the robot is lost. Arguments are checked first (settings.py). The exception
-that ended a mission (MissionOver, Ctrl-C) is stored, and every later step except `note` raises it again, so a program
-that caught it drives no farther.
+the mission's, by the fence, or because the robot is lost. Arguments are checked first (mission_settings.py). The
+exception that ended a mission (MissionOver, Ctrl-C) is stored, and every later step except `note` raises it again, so a
+program that caught it drives no farther.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,10 +21,10 @@ from typing import Final, NamedTuple
 
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
-from localization.missions.controller import Observation, RobotController
-from localization.missions.report import DONE, INTERRUPTED, MissionOver, Report, Step, StepFailed, ending_of
-from localization.missions.settings import OnLost, Point, Settings, check_arguments, read_points
+from localization.navigation.controller import Observation, RobotController
 from localization.navigation.limits import STAND, VelocityCommand
+from localization.navigation.mission_report import DONE, INTERRUPTED, MissionOver, Report, Step, StepFailed, ending_of
+from localization.navigation.mission_settings import OnLost, Point, Settings, check_arguments, read_points
 from localization.navigation.obstacles import position_std_in
 from localization.navigation.path import PathSection, angle_difference, line_between
 from localization.navigation.path_follower import TURNED_RAD, PathFollower, TurnProgress, turn_command
@@ -33,6 +33,8 @@ from localization.navigation.recovery import RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
+
+__all__ = ["Mission", "MissionOver", "OnLost", "Seen", "Settings", "StepFailed", "run_mission"]
 
 HALT_S: Final = 2.0
 """An axis at its top speed stops within this time."""
@@ -79,7 +81,7 @@ class Mission:
         self.report = Report(self.settings.title)
         self.ended: BaseException | None = None
         """The exception that ended the mission early: MissionOver, or one that is no Exception, such as Ctrl-C.
-        A sys.exit of the program is an error of the program (steps.py)."""
+        A sys.exit of the program is an error of the program (mission_steps.py)."""
         self._began_s, self._step_ends_s = controller.clock_s, inf
         self._fence = polygon_segments(self.settings.fence_in) if self.settings.fence_in else None
         if self._fence is not None:

@@ -19,9 +19,9 @@ from nclient.protocol.types import N150
 from nclient.recording.format import Entry, Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import Recorder, RecordingStream
 from nclient.transports.stream import Deadline, MemoryStream
+from nserver_emu.control import snapshot
 from nserver_emu.control.commands import answer_line
-from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.recording import MAX_STEP_S, RunHeader, replay
+from nserver_emu.control.recording import MAX_STEP_S, RunHeader, replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import MAX_CATCH_UP_S

@@ -1,1 +1,0 @@
-"""Snapshots, recordings and replays of a simulation."""
