@@ -7,7 +7,7 @@ import os
 import sys
 
 from localization.filters.base import LocalizationConfig
-from localization.record import record_run
+from localization.navigation.waypoints import record_run
 from nclient import connect
 from worlds.io import load_world
 from worlds.robots import BODIES

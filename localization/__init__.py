@@ -3,7 +3,6 @@
 Packages, from the lowest layer to the highest:
 
 filters/          belief, odometry, sonar models, and the filters (EKF, UKF, smoother, particles, global localization)
-record            a recorded drive to waypoints
 plot              plots of a run: trajectory, errors, innovations, NEES
 live/             the localizer of a connected robot: states in, estimates out; saved estimates, publishing, pictures
 navigation/       paths, roadmap, planner, path follower, obstacles, pilot, calibration drive, missions

@@ -13,7 +13,7 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.own import OwnFactory, OwnFilterAdapter
 from localization.live.run import Run
-from localization.record import record_run
+from localization.navigation.waypoints import record_run
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState

@@ -14,7 +14,7 @@ from localization.filters.registry import make
 from localization.live.localizer import Estimate, Localizer
 from localization.live.run import Run, RunMoment, TruthSample
 from localization.live.sensor_input import restart_ring
-from localization.record import record_run
+from localization.navigation.waypoints import record_run
 from nclient import connect
 from tests.docs.pages import ROOT
 from worlds.io import load_world
