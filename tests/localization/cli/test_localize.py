@@ -196,6 +196,7 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert result["rmse_position_in"] < 0.5
 
 
+@pytest.mark.long
 def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFixture[str]) -> None:
     robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
     asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]

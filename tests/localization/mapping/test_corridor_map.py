@@ -33,7 +33,8 @@ def parallel_walls(found: LearnedMap) -> tuple[float, float]:
     return float(abs((turn + 90.0) % 180.0 - 90.0)), METRES * float(abs(off[0] * unit[1] - off[1] * unit[0]))
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_corridor_has_two_parallel_walls_at_its_width(seed: int) -> None:
     corridor = read_corridor(DATA)
     sonar = building_sonar(corridor.body.ring)

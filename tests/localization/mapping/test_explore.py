@@ -137,6 +137,7 @@ def test_corners_are_measured_from_between_their_walls() -> None:
     assert wall_distances(np.array([[place.x_in, place.y_in]]), slanted.ends.reshape(1, 4))[0] == pytest.approx(15.0)
 
 
+@pytest.mark.long
 def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "room.toml"
     address = "sim:thesis_room?setup=measured&seed=1"

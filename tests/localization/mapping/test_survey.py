@@ -258,6 +258,7 @@ def test_drive_publishes_its_map_as_it_grows(driven: Path) -> None:
     assert np.hypot(*(true[:, None] - ends).transpose(2, 0, 1)).min(axis=1).max() < 2.0
 
 
+@pytest.mark.long
 def test_live_drive_and_its_recording_give_the_same_map(
     driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,6 +284,7 @@ def test_drive_goes_on_where_it_stopped(driven: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_resumed_robot_that_was_moved_is_refused(
     driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -314,6 +316,7 @@ def test_resumed_drive_waits_for_a_turn_of_the_ring(tmp_path: Path, capsys: pyte
     assert clocks[-1] - clocks[0] > 900
 
 
+@pytest.mark.long
 @pytest.mark.long
 def test_collector_ignores_states_that_are_old(driven: Path) -> None:
     collector = DriveCollector("n150", read_drive(driven / "room.log"))
