@@ -6,8 +6,11 @@ Pages are Markdown (MyST) and load nothing from other hosts.
 from __future__ import annotations
 
 from importlib.metadata import version as version_of
+from typing import Any
 
+from docutils import nodes
 from pygments.lexers.special import TextLexer
+from sphinx.addnodes import toctree
 from sphinx.application import Sphinx
 
 project = "nomad-nserver"
@@ -40,6 +43,33 @@ html_static_path = ["_static"]
 html_css_files = ["tables.css"]
 
 
+def title_of_page(toc: nodes.Element) -> nodes.Element:
+    """Return the contents of a page without its sections: the title, and the lists of pages below it."""
+    title = toc.deepcopy()
+    for item in title.children:
+        if isinstance(item, nodes.Element) and len(item) > 1:
+            item[1:] = [nodes.bullet_list("", *pages)] if (pages := list(item.findall(toctree))) else []
+    return title
+
+
 def setup(app: Sphinx) -> None:
-    """Show scripts of `nomad shell` as plain text."""
+    """Show scripts of `nomad shell` as plain text, and make the sidebar from titles."""
     app.add_lexer("nomad", TextLexer)
+    titles: dict[str, nodes.Element] = {}
+
+    def make_from_titles(_app: Sphinx, _page: str, _template: str, context: dict[str, Any], _tree: object) -> None:
+        """Let the theme make a page's sidebar from titles: it copies the sections of all pages, and drops them."""
+        make = context["toctree"]
+
+        def make_sidebar(**options: Any) -> str:
+            contents = app.env.tocs
+            titles.update({name: title_of_page(toc) for name, toc in contents.items() if name not in titles})
+            app.env.tocs = titles
+            try:
+                return str(make(**options))
+            finally:
+                app.env.tocs = contents
+
+        context["toctree"] = make_sidebar
+
+    app.connect("html-page-context", make_from_titles, priority=400)

@@ -51,6 +51,16 @@ def test_every_page_is_built(site: Path) -> None:
     assert [page for page in pages if not (site / page).exists()] == []
 
 
+def test_sidebar_lists_all_pages_by_their_titles(site: Path) -> None:
+    page = (site / "start.html").read_text(encoding="utf-8")
+    sidebar = page[page.index('<div class="sidebar-tree">') :]
+    links = re.findall(r'<a class="[^"]*reference internal" href="([^"]+)"', sidebar[: sidebar.index("</aside>")])
+    pages = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in DOCS.rglob("decisions/0*.md")}
+    assert len(pages) > 40
+    assert pages <= set(links)
+    assert [link for link in links if re.search(r"#.", link)] == []
+
+
 def test_notebook_is_executed_and_filter_is_consistent(site: Path) -> None:
     page = (site / "notebook" / "localize.html").read_text(encoding="utf-8")
     assert len(re.findall(r'<img alt="[^"]*" src="[^"]+\.png"', page)) == 2
