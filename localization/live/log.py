@@ -1,4 +1,4 @@
-"""Recorded drives of any robot: a log of odometry and sonars as CSV, and the filter run over it.
+"""Recorded drives of any robot: a log of odometry and sonars as CSV. run.py runs a filter over it.
 
 The first line names the columns, in any order; a column ends in its unit:
 
@@ -13,17 +13,12 @@ differs from the one before, or if the sonar must have fired again since (`new_e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from math import inf, radians
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.filters.base import EncoderRow, Filter, NewEcho, RingFilter, Searching, process_each
-from localization.filters.odometry import relative_step
-from localization.filters.update import REFUSALS
-from localization.live.localizer import Echo, Estimate
-from localization.live.run import Pose, Run, RunMoment
 from nclient.common.hints import suggest
 from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import M_PER_IN
@@ -44,6 +39,10 @@ _UNUSED: Final[Units] = {"speed_in": {"s": 1.0}, "turn_deg": {"s": 1.0}, "bumper
 _TRUTH: Final = ("truth_x", "truth_y", "truth_heading")
 MAX_BYTES: Final = 64 << 20
 """Larger logs are refused: an hour of a ring at 10 Hz takes 8 MB."""
+
+
+Pose = tuple[float, float, float]
+"""x and y in inches, heading of the steering in radians."""
 
 
 class LogRow(NamedTuple):
@@ -166,41 +165,6 @@ def new_echoes(readings: Sequence[Sequence[float]], clocks_s: Sequence[float], p
     return new
 
 
-def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], localizer: Filter) -> Iterator[RunMoment]:
-    """Yield the estimate after each row of a log: predict by its odometry, then update by its new readings.
-
-    Parameters
-    ----------
-    echoes
-        For each row the sonars whose reading is new, see `new_echoes`.
-    localizer
-        The filter; its belief is over the pose at the first row.
-    """
-    before = _encoders(rows[0])
-    for row, sonars in zip(rows, echoes, strict=True):
-        now = _encoders(row)
-        new: list[NewEcho] = [(row.clock_s, sonar, row.sonars_in[sonar]) for sonar in sonars]
-        poses = [before, now]
-        if isinstance(localizer, RingFilter):
-            outcomes = localizer.process(before, poses, new)
-        else:
-            outcomes = process_each(localizer, before, poses, new)
-        if not new:
-            localizer.predict(*relative_step(*before[1:4], *now[1:4]))
-        before = now
-        found = tuple(
-            Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
-            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
-        )
-        places = localizer.places if isinstance(localizer, Searching) else ()
-        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)
-        yield RunMoment(estimate, row.odometry, row.truth, 0, row.turret_rad)
-
-
-def _encoders(row: LogRow) -> EncoderRow:
-    return (row.clock_s, *row.odometry, row.turret_rad)
-
-
 def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
     """Return a log in which the reading of a ring that means "no echo" is inf.
 
@@ -218,12 +182,3 @@ def without_echo(rows: Sequence[LogRow], ring: Ring) -> list[LogRow]:
         row._replace(sonars_in=tuple(inf if abs(each - ring.no_echo_in) < near_in else each for each in row.sonars_in))
         for row in rows
     ]
-
-
-def run_log(rows: Sequence[LogRow], period_s: float, localizer: Filter) -> Run:
-    """Return the record of a filter over a whole log, see `localize_log`."""
-    echoes = new_echoes([row.sonars_in for row in rows], [row.clock_s for row in rows], period_s)
-    run = Run([])
-    for moment in localize_log(rows, echoes, localizer):
-        run.add(moment)
-    return run

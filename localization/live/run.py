@@ -1,22 +1,24 @@
-"""Record of a live run, its results as numbers and text, and the ground truth of simulated robots."""
+"""Record of a run, live or over a log, its results as numbers and text, and the ground truth of simulated robots."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import Place
+from localization.filters.base import EncoderRow, Filter, NewEcho, Place, RingFilter, Searching, process_each
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
-from localization.filters.update import Refusal
+from localization.filters.odometry import relative_step
+from localization.filters.update import REFUSALS, Refusal
 from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
 from localization.live.localizer import Echo, Estimate
+from localization.live.log import LogRow, Pose, new_echoes
 from localization.live.sensor_input import MAX_GAP_S
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -25,8 +27,6 @@ MAX_MOMENTS = 36_000
 """Periods of a run in memory: an hour. Results of a longer run, which stays on a page, are those of its end."""
 MAX_HYPOTHESES = 4
 """Largest number of hypotheses in a line of output."""
-Pose = tuple[float, float, float]
-"""x and y in inches, heading of the steering in radians."""
 
 
 class TruthSample(NamedTuple):
@@ -282,3 +282,50 @@ class GroundTruth:
     def _request(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()
         return truth.robot_id, TruthSample(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
+
+
+# A filter over a recorded drive.
+
+
+def run_log(rows: Sequence[LogRow], period_s: float, localizer: Filter) -> Run:
+    """Return the record of a filter over a whole log, see `localize_log`."""
+    echoes = new_echoes([row.sonars_in for row in rows], [row.clock_s for row in rows], period_s)
+    run = Run([])
+    for moment in localize_log(rows, echoes, localizer):
+        run.add(moment)
+    return run
+
+
+def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], localizer: Filter) -> Iterator[RunMoment]:
+    """Yield the estimate after each row of a log: predict by its odometry, then update by its new readings.
+
+    Parameters
+    ----------
+    echoes
+        For each row the sonars whose reading is new, see `new_echoes`.
+    localizer
+        The filter; its belief is over the pose at the first row.
+    """
+    before = _encoders(rows[0])
+    for row, sonars in zip(rows, echoes, strict=True):
+        now = _encoders(row)
+        new: list[NewEcho] = [(row.clock_s, sonar, row.sonars_in[sonar]) for sonar in sonars]
+        poses = [before, now]
+        if isinstance(localizer, RingFilter):
+            outcomes = localizer.process(before, poses, new)
+        else:
+            outcomes = process_each(localizer, before, poses, new)
+        if not new:
+            localizer.predict(*relative_step(*before[1:4], *now[1:4]))
+        before = now
+        found = tuple(
+            Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
+            for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
+        )
+        places = localizer.places if isinstance(localizer, Searching) else ()
+        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)
+        yield RunMoment(estimate, row.odometry, row.truth, 0, row.turret_rad)
+
+
+def _encoders(row: LogRow) -> EncoderRow:
+    return (row.clock_s, *row.odometry, row.turret_rad)

@@ -13,7 +13,7 @@ from math import degrees
 from typing import Any, Final
 
 from localization.filters.belief import wrap_angle
-from localization.live.run import Pose
+from localization.live.log import Pose
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import NomadError
 
