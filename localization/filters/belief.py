@@ -28,7 +28,7 @@ HEADING: Final = 2
 POSE: Final = 3
 """Coordinates of the pose, with which every state begins."""
 
-_TURN: Final = 2.0 * math.pi
+_TURN, _HALF_TURN = 2.0 * math.pi, math.pi
 
 
 def unit_vector(angle_rad: Number) -> tuple[Number, Number]:
@@ -66,7 +66,7 @@ def clip(value: Number, low: float, high: float) -> Number:
 def wrap_angle(angle_rad: Number) -> Number:
     """Return the same direction within [-pi, pi]; angles already there are returned to the bit."""
     if isinstance(angle_rad, float):
-        return angle_rad if -math.pi <= angle_rad <= math.pi else angle_rad - _TURN * round(angle_rad / _TURN)
+        return angle_rad if -_HALF_TURN <= angle_rad <= _HALF_TURN else angle_rad - _TURN * round(angle_rad / _TURN)
     return angle_rad - _TURN * np.rint(angle_rad / _TURN)
 
 

@@ -17,12 +17,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters import belief, odometry, sonar_cone, sonar_ray, update
+from localization.filters import belief, health, odometry, sonar_cone, sonar_ray, update
 from localization.filters.belief import POSE, Floats
-from localization.filters.odometry import OdometryNoise
+from localization.filters.health import LARGEST
+from localization.filters.odometry import NO_LAG, Lag, OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import Gate, RayModel, RaySonar
-from localization.filters.update import Covariance, DirectModel, Outcome, State
+from localization.filters.update import DirectModel, Outcome
 from worlds import compiled, raycast
 from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path, write_mark
 
@@ -30,7 +31,7 @@ ENCODERS: Final = 5
 """Elements of `base.EncoderRow`."""
 _log = logging.getLogger(__name__)
 
-# Arguments of compiled code: what it reads of the classes of the same name, with arrays for lists.
+# What compiled code reads of the classes of the same name.
 NoiseRow = NamedTuple("NoiseRow", [(field.name, float) for field in fields(OdometryNoise)])  # type: ignore[misc]
 RaySonarRow = NamedTuple(
     "RaySonarRow", [*((field.name, float) for field in fields(RaySonar)), ("range_span_in", float)]  # type: ignore[misc]
@@ -86,20 +87,39 @@ def row_of(row: Any, record: object) -> Any:
     return row(*(float(getattr(record, name)) for name in row._fields))
 
 
-def _arrays(model: Any) -> RayArrays | ConeArrays:
-    """Return a model, of rays or cones, as compiled code takes it."""
-    walls = WallArrays(model.walls.segments, model.walls.lines, model.walls.middle)
-    ring = (np.array(model.mounts), model.range_parameters)
+def _arguments(model: Any) -> tuple[Any, ...]:
+    """Return a model of rays or cones in plain tuples and arrays: see `_ray_model`, `_cone_model`.
+
+    A call of compiled code takes most of its time for its arguments, and several times as long for a named tuple.
+    """
+    walls, mounts = model.walls, np.array(model.mounts)
+    common = (walls.middle, walls.segments, walls.lines, mounts, model.range_parameters)
     if isinstance(model, RayModel):
-        noise, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
-        return RayArrays(noise, walls, gate, model.threshold, *ring)
+        sonar, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
+        return tuple(sonar), *common, tuple(gate), model.threshold
     faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return ConeArrays(row_of(ConeSonarRow, model.noise), walls, faces, vertices, *ring)
+    return tuple(row_of(ConeSonarRow, model.noise)), *common, faces, vertices
+
+
+def _ray_model(
+    sonar: Any, middle: Any, segments: Any, lines: Any, mounts: Any, parameters: int, gate: Any, threshold: float
+) -> RayArrays:
+    """Return a model from its parts, in compiled code."""
+    walls = WallArrays(segments, lines, middle)
+    return RayArrays(RaySonarRow(*sonar), walls, GateRow(*gate), threshold, mounts, parameters)
+
+
+def _cone_model(
+    sonar: Any, middle: Any, segments: Any, lines: Any, mounts: Any, parameters: int, faces: Any, vertices: Any
+) -> ConeArrays:
+    """Return a model from its parts, in compiled code."""
+    walls = WallArrays(segments, lines, middle)
+    return ConeArrays(ConeSonarRow(*sonar), walls, faces, vertices, mounts, parameters)
 
 
 # Compiling.
 
-SOURCES: Final = (belief, odometry, sonar_ray, sonar_cone, update, raycast)
+SOURCES: Final = (belief, health, odometry, sonar_ray, sonar_cone, update, raycast)
 """numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
@@ -168,7 +188,7 @@ def load() -> bool:
 
 
 @cache
-def _checksum(loop: Callable[..., list[Outcome]]) -> int:
+def _checksum(loop: Callable[..., Any]) -> int:
     """Return a checksum of all sources, with this file."""
     return checksum(__file__, loop.__code__.co_filename, *(module.__file__ for module in SOURCES))
 
@@ -186,25 +206,53 @@ def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome
 @cache
 def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., list[Outcome]]:
     """Return the loop over a ring with this update: compiled when called first, or loaded from the cache."""
+    assemble = _ray_model if correct is sonar_ray.update_by_ray else _cone_model
+
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
     sources = _checksum(loop)
 
     def filter_ring(
-        x: Any, P: Any, used: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, model: Any
+        x: Any, P: Any, used: Any, slip_sums: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, *parts: Any
     ) -> list[Outcome]:
         assert sources >= 0
-        return loop(x, P, used, encoders, poses, echoes, noise, model, correct)
+        model = assemble(*parts)
+        return loop(x, P, used, slip_sums, encoders, poses, echoes, NoiseRow(*noise), model, correct)
 
-    make_compilable([loop])
+    make_compilable([loop, assemble])
     return compile_function(filter_ring)
 
 
-class CompiledRing:
-    """`ekf.filter_ring` in machine code, for one model and odometry."""
+@cache
+def _compile_prediction(widen: Callable[..., None]) -> Callable[..., tuple[Floats, Floats]]:
+    """Return the prediction that is reported, without changing x and P: compiled when called first, or loaded."""
+    sources, prediction = _checksum(widen), odometry.predict_state
 
-    def __init__(self, loop: Callable[..., list[Outcome]], model: DirectModel, noise: OdometryNoise) -> None:
-        self._run = _compile(loop, model.update)
-        self._noise, self._model = row_of(NoiseRow, noise), _arrays(model)
+    def predicted(
+        x: Any, P: Any, size: int, distance: float, turn: float, noise: Any, nis_ratio: float, lag: Any, scale: float,
+        middle: Any, slipped: float,
+    ) -> tuple[Floats, Floats]:  # fmt: skip
+        assert sources >= 0
+        x, P = x[:size].copy(), P[:size, :size].copy()
+        widen(x, P, distance, turn, NoiseRow(*noise), nis_ratio, lag, scale, middle, slipped, prediction)
+        return x, P
+
+    make_compilable([widen])
+    return compile_function(predicted)
+
+
+class CompiledRing:
+    """`ekf.filter_ring` and `ekf.widen_prediction` in machine code, for one model and odometry."""
+
+    def __init__(
+        self,
+        loop: Callable[..., list[Outcome]],
+        widen: Callable[..., None],
+        model: DirectModel,
+        noise: OdometryNoise,
+    ) -> None:
+        self._run, self._predict = _compile(loop, model.update), _compile_prediction(widen)
+        self._noise = tuple(row_of(NoiseRow, noise))
+        self._model = _arguments(model)
         mark = _mark(loop, model.update)
         if mark.exists():
             self._warm_up()
@@ -216,24 +264,40 @@ class CompiledRing:
     def _warm_up(self) -> None:
         """Compile now, not in the first update."""
         encoders = (0.0,) * ENCODERS
-        self.filter([0.0] * POSE, [[0.0] * POSE for _ in range(POSE)], np.zeros((1, 4)), encoders, [encoders], [])
+        used, slip_sums = np.zeros((1, 4)), np.zeros((0, LARGEST + 1))
+        x, P = np.zeros(POSE), np.zeros((POSE, POSE))
+        self._run(x, P, used, slip_sums, encoders, np.array([encoders]), np.zeros((0, 3)), self._noise, *self._model)
+        self.predicted(x, P, POSE, 0.0, 0.0, 1.0, NO_LAG, 0.0, (0.0, 0.0), 0.0)
 
     def filter(
         self,
-        x: State,
-        P: Covariance,
+        x: Any,
+        P: Any,
         used: Any,
+        slip_sums: Any,
         encoders: Sequence[float],
         poses: Sequence[Sequence[float]],
         echoes: Sequence[Sequence[float]],
     ) -> list[Outcome]:
-        """Filter x, P by all echoes of a ring, in place: see `ekf.filter_ring`; `used` is an array."""
-        mean, cov, rows = np.array(x), np.array(P), np.array(echoes).reshape(-1, 3)
-        outcomes = self._run(mean, cov, used, tuple(encoders), np.array(poses), rows, self._noise, self._model)
-        x[:], P[:] = mean.tolist(), cov.tolist()
+        """Filter x, P by all echoes of a ring, in place: see `ekf.filter_ring`; the first four are arrays."""
+        outcomes: list[Outcome] = self._run(
+            x, P, used, slip_sums, tuple(encoders), np.array(poses), np.array(echoes), self._noise, *self._model
+        )
         return outcomes
 
+    def predicted(
+        self, x: Any, P: Any, size: int, distance: float, turn: float, nis_ratio: float, lag: Lag, scale: float,
+        middle: tuple[float, float], slipped_in2: float,
+    ) -> tuple[Floats, Floats]:  # fmt: skip
+        """Return the first `size` coordinates of x and P, predicted and widened: see `ekf.widen_prediction`."""
+        return self._predict(x, P, size, distance, turn, self._noise, nis_ratio, lag, scale, middle, slipped_in2)
 
-def ring(loop: Callable[..., list[Outcome]], model: DirectModel | None, noise: OdometryNoise) -> CompiledRing | None:
+
+def ring(
+    loop: Callable[..., list[Outcome]],
+    widen: Callable[..., None],
+    model: DirectModel | None,
+    noise: OdometryNoise,
+) -> CompiledRing | None:
     """Return the compiled loop; None for a model without an update of its own, without numba, or if not wanted."""
-    return CompiledRing(loop, model, noise) if model and is_wanted(loop, model.update) and load() else None
+    return CompiledRing(loop, widen, model, noise) if model and is_wanted(loop, model.update) and load() else None

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from localization.filters.belief import (
     with_constants,
     wrap_angle,
 )
-from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor
+from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, SlipSums, add_slip_evidence
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
@@ -50,6 +50,7 @@ from localization.filters.odometry import (
 )
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
+    GATE,
     INFORMATIVE,
     INFORMATIVE_IN_CLUTTER,
     LIMIT,
@@ -81,6 +82,8 @@ PRESSED_NOISE: Final = 5.0
 """Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
 noise, and all readings from there repeat their errors."""
 
+READING, REFUSAL = 2, 0
+"""Elements of a `NewEcho`, and of an `Outcome`."""
 NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
@@ -106,6 +109,7 @@ class KalmanFilter:
            cones        beta_j, probability of reflector j      update.py: pda_update
         7  correct      x = x- + K innovation                   update.py: shift
                         P = P- - K S K^T                        belief.py: add_outer
+        8  slip         evidence that the wheels slipped        health.py: add_slip_evidence
 
     A cone has 3 to 5 for each reflector j, and 7 for their mixture (`update.pda_update`). The iterated filter repeats
     3 to 5 at the most likely state (`update.iterated`). The unscented filter has sigma points for the derivatives: in 2
@@ -134,6 +138,9 @@ class KalmanFilter:
     Applications to Tracking and Navigation (2001), table 5.2.4-1 for the form of P.
     """
 
+    TAKES_RINGS: ClassVar[bool] = True
+    """False: a subclass needs every prediction of its own."""
+
     def __init__(
         self,
         belief: Belief,
@@ -150,17 +157,23 @@ class KalmanFilter:
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.
         constant_stds = (*(self._odometric.level_stds if self._odometric else ()), *range_stds)
-        self._x, self._P = unpack(with_constants(belief, constant_stds))
+        state = with_constants(belief, constant_stds)
         self._size, self._constants, self._middle_in = len(belief.mean), len(constant_stds), middle_in
         self._has_scale = bool(range_stds)
         # The path of the echoes, as in the table at the head of this file.
-        self._direct = measurement.direct if prediction is predict_state else None
+        takes_rings = self.TAKES_RINGS and prediction is predict_state
+        self._direct = measurement.direct if takes_rings else None
         """The model, where `filter_ring` takes a whole ring by it; None: `process_each`, one by one."""
-        self._compiled = compiled.ring(filter_ring, self._direct, odometry)
-        """`filter_ring` as machine code, where that is wanted; None: as plain Python."""
-        self._correlated = CorrelatedReadings(as_array=self._compiled is not None)
+        self._compiled = compiled.ring(filter_ring, widen_prediction, self._direct, odometry)
+        """`filter_ring` as machine code, where that is wanted, with x and P in arrays; None: as plain Python, lists."""
+        is_compiled = self._compiled is not None
+        self._x: Any
+        self._P: Any
+        self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
+        self._correlated = CorrelatedReadings(as_array=is_compiled)
         # The monitor of the estimate, and the outcomes that it judges by.
-        self._monitor = IntegrityMonitor(limits)
+        self._monitor = IntegrityMonitor(limits, as_array=is_compiled)
+        self._no_slips = self._monitor.slip.sums[:0]
         self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
         self.detects_slips = True
 
@@ -196,7 +209,9 @@ class KalmanFilter:
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
         if result.refusal in self._informative:
-            self._add(result)
+            self._monitor.add(result)
+            if len(self._slip_sums):
+                self._monitor.slip.add(result.innovation_in, result.nis, result.slope)
             self._check_slip()
         return result
 
@@ -206,54 +221,47 @@ class KalmanFilter:
         """Predict to the instant of each echo and update; see `process_each`."""
         if not self._direct:
             return process_each(self, encoders, poses, echoes)
-        x, P, used, noise, model = self._x, self._P, self._correlated.used, self._odometry, self._direct
+        noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
-        low_in, high_in, last = model.noise.lowest_in, model.noise.highest_in, len(echoes) - 1
-        numbers = [k for k, (_, _, reading_in) in enumerate(echoes) if low_in < reading_in < high_in or k == last]
-        ranges = echoes if len(numbers) == len(echoes) else [echoes[k] for k in numbers]
+        low_in, high_in = model.noise.lowest_in, model.noise.highest_in
+        ranges = [echo for echo in echoes[:-1] if low_in < echo[READING] < high_in]
+        ranges.append(echoes[-1])
         # 2. Predict to each range and correct by it.
         if self._compiled:
-            results = self._compiled.filter(x, P, used, encoders, poses, ranges)
+            results = self._compiled.filter(self._x, self._P, used, slips, encoders, poses, ranges)
         else:
-            results = filter_ring(x, P, used, encoders, poses, ranges, noise, model, model.update)
-        # 3. The outcomes of all echoes; the monitor judges by those of ranges.
-        outcomes = [NO_RANGE] * len(echoes)
-        for k, outcome in zip(numbers, results, strict=True):
-            outcomes[k] = outcome
-            refusal, _, _, _, _, _ = outcome
-            if refusal in self._informative:
-                self._add(outcome)
+            x, P = self._x, self._P
+            results = filter_ring(x, P, used, slips, encoders, poses, ranges, noise, model, model.update)
+        # 3. The monitor judges by the outcomes of ranges.
+        informative = [outcome for outcome in results if outcome[REFUSAL] in self._informative]
+        self._monitor.add_all(informative)
+        if len(slips):
+            self._monitor.slip.count_readings(len(informative))
         self._check_slip()
-        return outcomes
+        # 4. The outcomes of all echoes.
+        if len(ranges) == len(echoes):
+            return results
+        of_ranges = iter(results)
+        return [
+            next(of_ranges) if low_in < echo[READING] < high_in or echo is echoes[-1] else NO_RANGE for echo in echoes
+        ]
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the filter leaves out of P.
 
-        1. Innovations larger than their S explains: P is multiplied by their mean NIS.
-        2. The lag: instants of echoes and of states that are not known exactly.
-        3. The scale of the map: readings that are all too long by a fraction s are of colder air, or of a map that is
-           too small by s. No reading tells one from the other. The map puts the robot s times its distance from the
-           middle off.
-        4. A slip of the wheels, by its probability.
+        That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
-        # The pose does not depend on the range parameters.
-        x, P = self._x[: self._size], [row[: self._size] for row in self._P[: self._size]]
-        # 1. P <- NIS P, before the step.
-        nis_ratio = self._monitor.nis_ratio
-        if nis_ratio != 1.0:
-            P = [[nis_ratio * cov for cov in row] for row in P]
-        self._predict(x, P, distance_in, turn_rad, self._odometry, 0)
-        # 2. Along the heading, and of it.
-        if lag != NO_LAG:
-            widen(x, P, lag)
-        # 3. Away from the middle; the scale is the last range parameter.
-        if self._has_scale:
-            scale, (middle_x, middle_y) = self._x[-1], self._middle_in
-            add_outer(P, 1.0, (scale * (x[0] - middle_x), scale * (x[1] - middle_y), 0.0))
-        # 4. Along the heading: the mean square of the displacement.
-        _, slipped_in2 = self._monitor.slip.slipped
-        if slipped_in2:
-            add_outer(P, slipped_in2, (*unit_vector(x[HEADING]), 0.0))
+        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, self._monitor.slip.slipped
+        size, scale = self._size, self._x[-1] if self._has_scale else 0.0
+        if self._compiled:
+            return Belief(*self._compiled.predicted(
+                self._x, self._P, size, distance_in, turn_rad, nis_ratio, lag, scale, self._middle_in, slipped_in2
+            ))  # fmt: skip
+        x, P = self._x[:size], [row[:size] for row in self._P[:size]]
+        widen_prediction(
+            x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in, slipped_in2,
+            self._predict,
+        )  # fmt: skip
         return Belief(np.array(x), np.array(P))
 
     def roll_on_spot(self, distance_in: float) -> None:
@@ -264,12 +272,11 @@ class KalmanFilter:
         add_outer(self._P, q_distance, (c, s, 0.0))
         add_outer(self._P, q_turn, (0.0, 0.0, 1.0))
 
-    def _add(self, outcome: Outcome) -> None:
-        """Let the monitor know of a reading, and of how far it displaces the robot along its heading."""
-        self._monitor.add(outcome)
-        if self.detects_slips and self._monitor.limits.slip_nats < inf:
-            _, innovation_in, nis, _, _, slope = outcome
-            self._monitor.slip.add(innovation_in, nis, slope)
+    @property
+    def _slip_sums(self) -> SlipSums:
+        """The sums of the test for slips; no rows where they are not looked for."""
+        is_tested = self.detects_slips and self._monitor.limits.slip_nats < inf
+        return self._monitor.slip.sums if is_tested else self._no_slips
 
     def _check_slip(self) -> None:
         """Widen the covariance by a slip of the wheels if the last readings agree on one."""
@@ -287,6 +294,7 @@ def filter_ring(
     x: State,
     P: Covariance,
     used: Used,
+    slip_sums: SlipSums,
     encoders: EncoderRow,
     poses: Sequence[EncoderRow],
     echoes: Sequence[NewEcho],
@@ -304,6 +312,8 @@ def filter_ring(
         State and covariance at the pose `encoders` (`belief.unpack`).
     used
         Of `CorrelatedReadings`.
+    slip_sums
+        Of `health.SlipTest`; without rows, slips are not looked for.
     encoders, poses, echoes
         As in `base.process_each`.
     correct
@@ -326,11 +336,61 @@ def filter_ring(
         turret_offset = turret - to_heading
         mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
         outcome = correct(x, P, mount, reading_in, model, count)
-        refusal, _, _, _, _, _ = outcome
+        refusal, innovation, nis, _, _, slope = outcome
         if refusal == NONE:
             record_used(used, sonar, turret_offset, count)
+        # 8. Evidence of a slip of the wheels.
+        if refusal in (NONE, GATE) and len(slip_sums) > 0:
+            add_slip_evidence(slip_sums, innovation, nis, slope)
         outcomes.append(outcome)
     return outcomes
+
+
+def widen_prediction(
+    x: State,
+    P: Covariance,
+    distance: float,
+    turn: float,
+    noise: OdometryNoise,
+    nis_ratio: float,
+    lag: Lag,
+    scale: float,
+    middle: tuple[float, float],
+    slipped_in2: float,
+    prediction: Callable[..., None],
+) -> None:
+    """Predict x, P after a step, in place, and widen P by what the filter leaves out of it.
+
+    Parameters
+    ----------
+    nis_ratio
+        Innovations larger than their S explains: P is multiplied by their mean NIS.
+    lag
+        Instants of echoes and of states that are not known exactly.
+    scale, middle
+        The scale of the map: readings that are all too long by a fraction s are of colder air, or of a map that is
+        too small by s. No reading tells one from the other. The map puts the robot s times its distance from the
+        middle off.
+    slipped_in2
+        A slip of the wheels: mean square of the displacement, by its probability.
+    """
+    # 1. P <- NIS P, before the step.
+    if nis_ratio != 1.0:
+        for row in P:
+            for j in range(len(row)):
+                row[j] = nis_ratio * row[j]
+    # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
+    prediction(x, P, distance, turn, noise, 0)
+    # 3. The lag: along the heading, and of it.
+    if lag[0] != 0.0 or lag[1] != 0.0:
+        widen(x, P, lag)
+    # 4. The scale: away from the middle.
+    if scale != 0.0:
+        add_outer(P, 1.0, (scale * (x[0] - middle[0]), scale * (x[1] - middle[1]), 0.0))
+    # 5. The slip: along the heading.
+    if slipped_in2 != 0.0:
+        c, s = unit_vector(x[HEADING])
+        add_outer(P, slipped_in2, (c, s, 0.0))
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:

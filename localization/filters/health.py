@@ -18,11 +18,13 @@ References: Page, Continuous inspection schemes (1954).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import expm1, hypot, inf, log, sqrt
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from localization.filters.belief import Floats, chi_square_quantile
 from localization.filters.update import OUTLIER_THRESHOLD, Outcome
@@ -93,6 +95,9 @@ HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 DISPLACEMENTS_IN: Final = (-5.0, -3.0, -2.0, 2.0, 3.0, 5.0)
 """Displacements along the heading that are tested, inches."""
 MIN_DISPLACEMENT_IN: Final = min(map(abs, DISPLACEMENTS_IN))
+LARGEST: Final = len(DISPLACEMENTS_IN)
+"""Column of the largest sum (`SlipSums`)."""
+NO_SLIP: Final = (0.0, 0.0)
 MAX_NIS: Final = 12.0
 """A reading is an outlier rather than so many standard deviations, squared, off: 2 ln of both densities' ratio."""
 MAX_GAIN_NATS: Final = 3.0
@@ -110,6 +115,11 @@ MAX_SLIP_PROBABILITY: Final = 0.5
 """Beyond this the estimate is DEGRADED: the wheels have more probably slipped than not."""
 
 
+SlipSums = list[list[float]] | Floats
+"""Evidence of each displacement, and last the largest: a row of the readings that a displacement forwards shortens, and
+one of those that it lengthens. No rows: slips are not looked for. Lists in plain Python, an array for compiled code."""
+
+
 def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> float:
     """Return the log likelihood ratio of a reading whose mean is shifted to one as expected, nats.
 
@@ -117,7 +127,32 @@ def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> 
     as probable either way.
     """
     ratio = 1.0 - shift_in / innovation_in
-    return 0.5 * (min(nis, MAX_NIS) - min(ratio * ratio * nis, MAX_NIS))
+    shifted_nis = ratio * ratio * nis
+    # Comparisons: in plain Python calls of min take most of the time.
+    return 0.5 * ((MAX_NIS if nis > MAX_NIS else nis) - (MAX_NIS if shifted_nis > MAX_NIS else shifted_nis))
+
+
+def add_slip_evidence(slip_sums: SlipSums, innovation_in: float, nis: float, slope: float) -> None:
+    """Add the evidence of a reading to that of each displacement, in place: one step of the CUSUM of `SlipTest`.
+
+    Parameters
+    ----------
+    slope
+        Change of the range for each inch that the robot is displaced forwards.
+    """
+    sums = slip_sums[1 if slope > 0.0 else 0]
+    # 1. An innovation of less than half the least shift supports no displacement: it can only lower a sum.
+    is_small = abs(innovation_in) <= 0.5 * MIN_DISPLACEMENT_IN * abs(slope)
+    if innovation_in == 0.0 or (is_small and sums[LARGEST] == 0.0):
+        return
+    # 2. sum = clip(sum + gain - allowance) of each displacement.
+    largest = 0.0
+    for j in range(LARGEST):
+        gain = displacement_evidence(innovation_in, nis, slope * DISPLACEMENTS_IN[j])
+        total = sums[j] + (MAX_GAIN_NATS if gain > MAX_GAIN_NATS else gain) - ALLOWANCE_NATS
+        sums[j] = total = (MAX_SIDE_NATS if total > MAX_SIDE_NATS else total) if total > 0.0 else 0.0
+        largest = total if total > largest else largest
+    sums[LARGEST] = largest
 
 
 class SlipTest:
@@ -133,80 +168,94 @@ class SlipTest:
     the readings. Slips are a Poisson process: their rate has a gamma distribution of which one slip in ROUNDS_PER_SLIP
     is the mean before the first reading, and (1 + slips) / (ROUNDS_PER_SLIP + rounds) later.
 
+    Parameters
+    ----------
+    as_array
+        Store `sums` in an array, as compiled code takes them, instead of lists.
+
     Attributes
     ----------
-    evidence_nats
-        Log likelihood ratio of the most likely displacement to none, with MAX_NATS_OF_ONE_SIDE.
-    displacement_in
-        This displacement, inches forwards.
+    sums
+        For `add_slip_evidence`; the number of readings added to them goes to `count_readings`.
 
     References
     ----------
     Basseville, Nikiforov, Detection of Abrupt Changes (1993), sections 2.4 and 7.2.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, as_array: bool = False) -> None:
+        rows = [[0.0] * (LARGEST + 1) for _ in range(2)]
+        self.sums: SlipSums = np.array(rows) if as_array else rows
         self._slips = self._readings = 0
-        self.reset()
+        self._slipped: tuple[float, float] | None = NO_SLIP
 
     def count(self) -> None:
         """Count a slip, and begin anew."""
         self._slips += 1
         self.reset()
 
+    def count_readings(self, count: int) -> None:
+        """Count readings that were added to the sums."""
+        self._readings += count
+        self._slipped = None
+
     def reset(self) -> None:
         """Begin anew; the rate of slips stays."""
-        self.evidence_nats = self.displacement_in = 0.0
-        # Sums of the readings that a displacement forwards shortens, and lengthens; None: all are 0.
-        self._sums: list[list[float] | None] = [None, None]
+        for sums in self.sums:
+            sums[:] = [0.0] * len(sums)
+        self._slipped = NO_SLIP
+
+    def add(self, innovation_in: float, nis: float, slope: float) -> None:
+        """Take note of a reading, see `add_slip_evidence`."""
+        add_slip_evidence(self.sums, innovation_in, nis, slope)
+        self.count_readings(1)
+
+    @property
+    def max_evidence_nats(self) -> float:
+        """An upper bound of the evidence: exact if both sides are of one displacement."""
+        shortened, lengthened = self.sums[0][LARGEST], self.sums[1][LARGEST]
+        return min(shortened, MAX_NATS_OF_ONE_SIDE) + min(lengthened, MAX_NATS_OF_ONE_SIDE)
+
+    @property
+    def most_likely(self) -> tuple[float, float]:
+        """The most likely displacement by both sides together, inches forwards, and its evidence.
+
+        The evidence is its log likelihood ratio to none, with MAX_NATS_OF_ONE_SIDE; without any the displacement is 0.
+        """
+        (*shortened, _), (*lengthened, _) = self.sums
+        totals = [one + other for one, other in zip(shortened, lengthened, strict=True)]
+        best = totals.index(max(totals))
+        evidence = min(shortened[best], MAX_NATS_OF_ONE_SIDE) + min(lengthened[best], MAX_NATS_OF_ONE_SIDE)
+        return DISPLACEMENTS_IN[best] if evidence else 0.0, evidence
 
     @property
     def slipped(self) -> tuple[float, float]:
         """Probability of a slip, and the mean square of the displacement by it, in^2: 0 without a slip."""
-        sums = [one for one in self._sums if one]
-        if not sums:
-            return 0.0, 0.0
+        if self._slipped is None:
+            self._slipped = self._odds() if self.sums[0][LARGEST] or self.sums[1][LARGEST] else NO_SLIP
+        return self._slipped
+
+    def _odds(self) -> tuple[float, float]:
+        """Return `slipped` of sums that are not all 0."""
+        (*shortened, _), (*lengthened, _) = self.sums
         # A displacement without evidence is none.
         before = (1 + self._slips) / (ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND)
-        odds = [before * expm1(sum(sides)) / len(DISPLACEMENTS_IN) for sides in zip(*sums, strict=True)]
+        sums = zip(shortened, lengthened, strict=True)
+        odds = [before * expm1(one + other) / len(DISPLACEMENTS_IN) for one, other in sums]
         total = sum(odds)
-        squares = sum(odd * displacement_in**2 for odd, displacement_in in zip(odds, DISPLACEMENTS_IN, strict=True))
+        squares = sum([odd * displacement_in**2 for odd, displacement_in in zip(odds, DISPLACEMENTS_IN, strict=True)])
         return total / (1.0 + total), squares / (1.0 + total)
-
-    def add(self, innovation_in: float, nis: float, slope: float) -> None:
-        """Take note of a reading, whose range changes by `slope` for each inch that the robot is displaced forwards."""
-        self._readings += 1
-        side = 1 if slope > 0.0 else 0
-        sums = self._sums[side]
-        # 1. An innovation of less than half the least shift supports no displacement, and there is no sum to lower.
-        if sums is None:
-            if abs(innovation_in) <= 0.5 * MIN_DISPLACEMENT_IN * abs(slope):
-                return
-            sums = [0.0] * len(DISPLACEMENTS_IN)
-        if innovation_in == 0.0:
-            return
-        # 2. The CUSUM of each displacement.
-        for j, displacement_in in enumerate(DISPLACEMENTS_IN):
-            gain = displacement_evidence(innovation_in, nis, slope * displacement_in)
-            sums[j] = min(max(0.0, sums[j] + min(gain, MAX_GAIN_NATS) - ALLOWANCE_NATS), MAX_SIDE_NATS)
-        self._sums[side] = sums if any(sums) else None
-        # 3. The most likely displacement by both sides together, and its evidence.
-        both = [one for one in self._sums if one]
-        totals = [sum(sides) for sides in zip(*both, strict=True)] or [0.0]
-        best = totals.index(max(totals))
-        self.evidence_nats = sum([min(one[best], MAX_NATS_OF_ONE_SIDE) for one in both])
-        self.displacement_in = DISPLACEMENTS_IN[best] if self.evidence_nats else 0.0
 
 
 class IntegrityMonitor:
     """Judge an estimate by the outcomes of its readings."""
 
-    def __init__(self, limits: HealthLimits | None = None) -> None:
+    def __init__(self, limits: HealthLimits | None = None, *, as_array: bool = False) -> None:
         self.limits = limits or HealthLimits()
         self._fall = 0.0
         self._matched: deque[float] = deque(maxlen=self.limits.window)
         self._nis: deque[float] = deque(maxlen=self.limits.window)
-        self.slip = SlipTest()
+        self.slip = SlipTest(as_array=as_array)
         self._since_slip = self.limits.after_slip
         self._ratio: float | None = 1.0
 
@@ -245,18 +294,24 @@ class IntegrityMonitor:
 
     def add(self, result: Outcome) -> None:
         """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
-        _, _, nis, outlier_probability, *_ = result
-        self._matched.append(1.0 - outlier_probability)
-        self._since_slip += 1
+        self.add_all((result,))
+
+    def add_all(self, results: Iterable[Outcome]) -> None:
+        """Take note of the outcomes of ranges, one after another."""
+        for _, _, nis, outlier_probability, _, _ in results:
+            self._matched.append(1.0 - outlier_probability)
+            self._since_slip += 1
+            if outlier_probability < OUTLIER_THRESHOLD:
+                self._nis.append(nis)
         self._ratio = None
-        if outlier_probability < OUTLIER_THRESHOLD:
-            self._nis.append(nis)
 
     def take_slip(self) -> float | None:
         """Return the displacement in inches along the heading of a slip that readings show, and begin anew; or None."""
-        if self.slip.evidence_nats < self.limits.slip_nats:
+        if self.slip.max_evidence_nats < self.limits.slip_nats:
             return None
-        displacement = self.slip.displacement_in
+        displacement, evidence = self.slip.most_likely
+        if evidence < self.limits.slip_nats:
+            return None
         self.slip.count()
         self._since_slip = 0
         return displacement

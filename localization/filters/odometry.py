@@ -292,13 +292,14 @@ def pose_at(poses: Sequence[Sequence[float]], instant_s: float) -> tuple[float, 
         k -= 1
     later, earlier = poses[k], poses[max(k - 1, 0)]
     # 2. Linear between them, angles by the shorter turn.
-    passed_s = later[0] - earlier[0]
-    fraction = min(max((instant_s - earlier[0]) / passed_s, 0.0), 1.0) if passed_s > 0.0 else 1.0
+    since_s, x, y, heading, turret = earlier[0], earlier[1], earlier[2], earlier[3], earlier[4]
+    passed_s, instant_s = later[0] - since_s, instant_s - since_s
+    fraction = instant_s / passed_s if 0.0 < instant_s < passed_s else (0.0 if instant_s <= 0.0 < passed_s else 1.0)
     return (
-        earlier[1] + fraction * (later[1] - earlier[1]),
-        earlier[2] + fraction * (later[2] - earlier[2]),
-        wrap_angle(earlier[3] + fraction * wrap_angle(later[3] - earlier[3])),
-        earlier[4] + fraction * wrap_angle(later[4] - earlier[4]),
+        x + fraction * (later[1] - x),
+        y + fraction * (later[2] - y),
+        wrap_angle(heading + fraction * wrap_angle(later[3] - heading)),
+        turret + fraction * wrap_angle(later[4] - turret),
     )
 
 

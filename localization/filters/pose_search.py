@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import inf, log
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from localization.filters import compiled
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
-from localization.filters.ekf import filter_ring
+from localization.filters.ekf import filter_ring, widen_prediction
+from localization.filters.health import SlipTest
 from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
 from localization.filters.sonar_ray import NOMAD
@@ -115,11 +116,13 @@ class EchoReplay:
     @cached_property
     def _ring(self) -> compiled.CompiledRing | None:
         """The compiled loop, where that is wanted."""
-        return compiled.ring(filter_ring, self._measurement.direct, self.odometry)
+        return compiled.ring(filter_ring, widen_prediction, self._measurement.direct, self.odometry)
 
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
         """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
-        x, P = unpack(belief)
+        x: Any
+        P: Any
+        x, P = (belief.mean.copy(), belief.cov.copy()) if self._ring else unpack(belief)
         nats = sum(log(likelihood) for _, _, _, _, likelihood, _ in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
@@ -130,7 +133,9 @@ class EchoReplay:
         if not self._measurement.direct:
             return self._one_by_one(x, P, before, records)
         # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
-        used, outcomes = CorrelatedReadings(as_array=self._ring is not None).used, list[Outcome]()
+        as_array = self._ring is not None
+        used, outcomes = CorrelatedReadings(as_array=as_array).used, list[Outcome]()
+        no_slips = SlipTest(as_array=as_array).sums[:0]
         at = (-1.0, *before.tolist(), 0.0)
         for first in range(0, len(records), LAST_RECORDS):
             part = records[first : first + LAST_RECORDS]
@@ -140,10 +145,10 @@ class EchoReplay:
             ]
             echoes = [(float(first + k), each.sonar, each.reading_in) for k, each in enumerate(part)]
             if self._ring:
-                outcomes += self._ring.filter(x, P, used, at, poses, echoes)
+                outcomes += self._ring.filter(x, P, used, no_slips, at, poses, echoes)
             else:
                 direct = self._measurement.direct
-                outcomes += filter_ring(x, P, used, at, poses, echoes, self.odometry, direct, direct.update)
+                outcomes += filter_ring(x, P, used, no_slips, at, poses, echoes, self.odometry, direct, direct.update)
             at = poses[-1]
         return outcomes
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Step(NamedTuple):
 
 
 class FixedLagSmoother(KalmanFilter):
-    """The extended Kalman filter, which also smooths.
+    """The extended Kalman filter, which also smooths: it records each prediction.
 
     Parameters
     ----------
@@ -43,6 +43,8 @@ class FixedLagSmoother(KalmanFilter):
         A lag below 1.
     """
 
+    TAKES_RINGS: ClassVar[bool] = False
+
     def __init__(
         self,
         belief: Belief,
@@ -54,7 +56,6 @@ class FixedLagSmoother(KalmanFilter):
         limits: HealthLimits | None = None,
     ) -> None:
         super().__init__(belief, measurement, odometry, range_stds=range_stds, middle_in=middle_in, limits=limits)
-        self._direct = None  # one prediction at a time, to record it
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")
         self._steps: deque[Step] = deque(maxlen=lag)

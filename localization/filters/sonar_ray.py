@@ -21,7 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import exp, pi
+from math import exp, inf, pi
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -107,7 +107,7 @@ class RangeNoise:
     def range_span_in(self) -> float:
         """Length of the interval in which a reading is a range; without limits that of a Nomad."""
         span_in = self.highest_in - self.lowest_in
-        return span_in if span_in < np.inf else NOMAD.range_span_in
+        return span_in if span_in < inf else NOMAD.range_span_in
 
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""

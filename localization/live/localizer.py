@@ -169,25 +169,25 @@ class Localizer:
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         x_in, y_in = self._slip.position_of(state)
-        now = EncoderPose(state.clock_s, x_in, y_in, float(state.steering_rad), float(state.turret_rad))
+        now, history = EncoderPose(state.clock_s, x_in, y_in, state.steering_rad, state.turret_rad), self._history
         if self._encoders is None:
             self._encoders = now
             self._last_echo_s = now.clock_s
             self._instants.append(now.clock_s)
-            self._history.add(now)
-        elif now.clock_s > self._history.latest.clock_s:
-            self._history.add(now)
-        latest = self._history.latest
-        clock_std_s = self._history.clock_rms_s if self._history.is_uneven else LAG_STD_S
+            history.add(now)
+        elif now.clock_s > history.latest.clock_s:
+            history.add(now)
+        (before, latest), is_uneven = history.last_two, history.is_uneven
         if self._disturbable:
-            self._disturbable.detects_slips = not self._history.is_uneven
+            self._disturbable.detects_slips = not is_uneven
             if self._slip.rolled_in:
                 self._disturbable.roll_on_spot(self._slip.rolled_in)
         # 2. Every new echo: predict to the pose of its instant, update.
-        firings = self._schedule.readable(self._last_echo_s, latest.clock_s, self._history.clock_late_s)
+        late_s, clock_std_s = (history.clock_late_s, history.clock_rms_s) if is_uneven else (0.0, LAG_STD_S)
+        firings = self._schedule.readable(self._last_echo_s, latest.clock_s, late_s)
         echoes = self._process(firings, state.sonars_in) if firings else ()
         # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
-        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(*self._history.last_two, clock_std_s))
+        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(before, latest, clock_std_s))
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
         return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
@@ -204,7 +204,7 @@ class Localizer:
         return tuple(
             [
                 Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
-                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
+                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
             ]
         )
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import floor
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -200,18 +201,19 @@ class FiringSchedule:
         should have fired by it may not have yet.
         """
         start_s, interval_s, firing = self.start_s, self.interval_s, self.firing
-        # 1. The first that is later than `after_s`, and not yet overwritten.
-        since_start = (after_s - start_s) / interval_s
-        first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= start_s else 0
+        # 1. The last that is certainly past.
+        last = floor((now_s - late_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
+        # 2. The first that is later than `after_s`, and not yet overwritten.
         overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(firing)
-        first = max(first, math.floor((overwritten_s - start_s) / interval_s + _TINY) + 1)
-        # 2. The last that is certainly past.
-        last = math.floor((now_s - late_s - CLOCK_STEP_S - start_s) / interval_s + _TINY)
-        return [
-            FiringTime(sonar, start_s + k * interval_s)
-            for k in range(first, last + 1)
-            for sonar in firing[k % len(firing)]
-        ]
+        after = floor((after_s - start_s) / interval_s + _TINY) if after_s >= start_s else -1
+        first = max(after, floor((overwritten_s - start_s) / interval_s + _TINY), -1) + 1
+        # 3. All between them.
+        firings = []
+        for k in range(first, last + 1):
+            instant_s = start_s + k * interval_s
+            for sonar in firing[k % len(firing)]:
+                firings.append(FiringTime(sonar, instant_s))
+        return firings
 
 
 def restart_ring(robot: Robot, ring: Ring) -> tuple[FiringSchedule, RobotState]:
@@ -353,7 +355,8 @@ class PoseHistory:
     @property
     def last_two(self) -> tuple[EncoderPose, EncoderPose]:
         """The last two poses, earlier first; of a single one, it twice."""
-        return self._poses[max(len(self._poses) - 2, 0)], self._poses[-1]
+        poses = self._poses
+        return poses[-2] if len(poses) > 1 else poses[-1], poses[-1]
 
     @property
     def latest(self) -> EncoderPose:

@@ -12,8 +12,9 @@ import pytest
 
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model, process_each
-from localization.filters.belief import Belief, pack, unpack, with_constants
-from localization.filters.ekf import KalmanFilter, filter_ring
+from localization.filters.belief import Belief, unpack, with_constants
+from localization.filters.ekf import KalmanFilter, filter_ring, widen_prediction
+from localization.filters.health import SlipTest
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeModel, ConeSonar, update_by_cone
@@ -51,20 +52,21 @@ def test_compiled_rings_equal_plain_python_to_the_bit(
 ) -> None:
     model = measurement_model(WALLS, N150, sonar, range_parameters=len(range_stds))
     assert isinstance(model, RayModel | ConeModel)
-    ring = compiled.ring(filter_ring, model, NOISE)
+    ring = compiled.ring(filter_ring, widen_prediction, model, NOISE)
     assert ring is not None
     rng, refusals = np.random.default_rng(n), set()
     mean, std = np.array([20.0, 50.0, 0.3, 0.01, -0.01, 1e-4])[:n], np.array([0.5, 0.5, 0.02, 0.02, 0.02, 1e-3])[:n]
     belief = with_constants(Belief(mean, np.diag(std**2)), range_stds)
-    (x, P), used = unpack(belief), [[0.0] * 4 for _ in range(17)]
-    (x_compiled, P_compiled), used_compiled = unpack(pack(x, P)), np.array(used)
+    (x, P), used, slips = unpack(belief), [[0.0] * 4 for _ in range(17)], SlipTest().sums
+    arrays = [np.array(part) for part in (x, P, used, slips)]
     for _ in range(30):
         drive = random_ring(rng)
-        plain = filter_ring(x, P, used, *drive, NOISE, model, model.update)
-        fast = ring.filter(x_compiled, P_compiled, used_compiled, *drive)
+        plain = filter_ring(x, P, used, slips, *drive, NOISE, model, model.update)
+        fast = ring.filter(arrays[0], arrays[1], arrays[2], arrays[3], *drive)
         np.testing.assert_array_equal(fast, plain)
         refusals |= {outcome[0] for outcome in plain}
-    assert (x_compiled, P_compiled, used_compiled.tolist()) == (x, P, used)
+    assert [array.tolist() for array in arrays] == [x, P, used, slips]
+    assert max(map(max, slips)) > 0.0
     assert refusals >= {Refusal.NONE, Refusal.LIMIT, Refusal.GATE}
 
 
@@ -85,6 +87,14 @@ def test_compiled_filter_equals_the_plain_one(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_array_equal(fast.process(*drive), plain.process(*drive))
     np.testing.assert_array_equal(fast.belief.cov, plain.belief.cov)
     assert fast.health == plain.health
+    # The prediction that is reported, widened by all that widens it; the belief stays as it is.
+    for filter_ in (fast, plain):
+        filter_._monitor.slip.add(-2.0, 9.0, 1.0)
+    one, other = (filter_.predicted(1.5, 0.1, (0.2, 0.01)) for filter_ in (fast, plain))
+    np.testing.assert_array_equal(one.mean, other.mean)
+    np.testing.assert_array_equal(one.cov, other.cov)
+    assert one.cov[0, 0] > fast.belief.cov[0, 0]
+    np.testing.assert_array_equal(fast.belief.cov, plain.belief.cov)
 
 
 def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +111,7 @@ def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> N
     model = measurement_model(WALLS, N150, WIRE_SONAR)
     assert isinstance(model, RayModel)
     assert not compiled.load()
-    assert compiled.ring(filter_ring, model, NOISE) is None
+    assert compiled.ring(filter_ring, widen_prediction, model, NOISE) is None
     compiled.load.cache_clear()
 
 
