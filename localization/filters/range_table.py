@@ -149,7 +149,9 @@ MARGIN_CELLS: Final = 80
 def encoded(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> npt.NDArray[np.uint16]:
     """Return the codes of ranges and probabilities of any shape."""
     inches = np.clip(np.rint(ranges_in), 0, MAX_READING_IN)
-    code: npt.NDArray[np.uint16] = (np.rint(np.multiply(probabilities, PROBABILITY_STEPS)) * (MAX_READING_IN + 1)
+    # What is beyond the limit reads "nothing".
+    detected = np.where(inches < MAX_READING_IN, probabilities, 0.0)
+    code: npt.NDArray[np.uint16] = (np.rint(detected * PROBABILITY_STEPS) * (MAX_READING_IN + 1)
                                     + inches).astype(np.uint16)  # fmt: skip
     return code
 
@@ -163,7 +165,7 @@ def decoded(codes: npt.NDArray[np.int_]) -> tuple[Floats, Floats]:
 def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) -> Floats:
     """Return the densities (256,) of whole-inch readings from 0 to 255, from expected echoes at poses on a map."""
     # 1. The histogram of expected ranges.
-    weights = np.ravel(probabilities)
+    weights = np.where(np.rint(np.ravel(ranges_in)) < MAX_READING_IN, np.ravel(probabilities), 0.0)
     edges = np.arange(MAX_READING_IN + 2) - 0.5
     counts, _ = np.histogram(np.ravel(ranges_in), edges, weights=weights)
     smooth = np.convolve(counts, _SMOOTHING, mode="same")

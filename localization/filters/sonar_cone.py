@@ -303,7 +303,14 @@ def detectable(
 ) -> tuple[int, float, list[EchoCandidate]]:
     """Return NONE or why a reading is no echo, its likelihood then, and the reflectors that may have returned it."""
     noise = model.noise
-    candidates = first_echoes(x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), mount, model)
+    candidates = []
+    for number, range_in, H, probability in first_echoes(
+        x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), mount, model
+    ):
+        # A reflector beyond the limit reads "nothing".
+        nearer = normal_cdf((noise.highest_in - range_in) / sqrt(range_variance(noise, range_in)))
+        if nearer > MIN_PROBABILITY:
+            candidates.append(EchoCandidate(number, range_in, H, probability * nearer))
     if reading_in <= noise.lowest_in:
         return LIMIT, 1.0, candidates
     if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected

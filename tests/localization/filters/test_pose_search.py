@@ -63,13 +63,14 @@ def ring_at(walls: Floats, pose: tuple[float, float, float], rounds: int = 2) ->
 
 def test_codes_keep_inches_and_probabilities() -> None:
     rng = np.random.default_rng(0)
-    ranges, probabilities = rng.uniform(0.0, 255.0, 500), rng.uniform(0.0, 1.0, 500)
+    ranges, probabilities = rng.uniform(0.0, 254.0, 500), rng.uniform(0.0, 1.0, 500)
     codes = encoded(ranges, probabilities)
     assert codes.max() < CODES
     inches, stated = decoded(codes.astype(int))
     assert np.abs(inches - ranges).max() <= 0.5
     assert np.abs(stated - probabilities).max() <= 0.5 / 63 + 1e-9
     assert decoded(np.array([0]))[1] == 0.0
+    assert decoded(encoded([260.0], [1.0]).astype(int))[1] == 0.0, "beyond the limit nothing is detected"
 
 
 def test_codes_beside_places_are_those_of_the_displaced_cells() -> None:

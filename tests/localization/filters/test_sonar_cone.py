@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, echo_probabilities, expected_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, echo_probabilities, expected_echoes
+from localization.filters.update import Refusal
 from worlds.io import load_world
 from worlds.rings import SonarMount
+from worlds.robots import N150
 
 SURE = np.array(1e-9)
 SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]
@@ -130,3 +132,17 @@ def test_omitted_reflectors_have_no_echo_in_any_particle(spread: tuple[float, fl
         detected = every.probability.any(axis=0)
         np.testing.assert_allclose(ranges, every.ranges_in[:, detected], atol=1e-12)
         np.testing.assert_allclose(probabilities, every.probability[:, detected], atol=1e-15)
+
+
+@pytest.mark.parametrize(("range_in", "probability"), [(100.0, 1.0), (255.0, 0.5), (270.0, 0.0)])
+def test_a_wall_beyond_the_limit_is_no_echo(range_in: float, probability: float) -> None:
+    """Oracle: the wall, detected for certain, is nearer than the limit with this probability."""
+    sonar = ConeSonar(margin_db=200.0)
+    x_in = N150.sonar_ring_radius_in + range_in
+    model = ConeModel([[x_in, -500.0, x_in, 500.0]], N150, sonar)
+    x, P = [0.0, 0.0, 0.0], np.diag([1e-6, 1e-6, 1e-6]).tolist()
+    found = model.associate(x, P, 0, 0.0, 255.0)
+    assert found.likelihood == pytest.approx(1.0 - 0.9 * probability, abs=1e-3)
+    short = model.associate(x, P, 0, 0.0, 90.0)
+    assert sum(short.probability) == pytest.approx(probability, abs=1e-3)
+    assert (short.refusal is Refusal.NO_WALL) == (probability == 0.0)
