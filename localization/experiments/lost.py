@@ -45,6 +45,8 @@ class LostSummary(TypedDict):
         Number of unknown starts that look like other places of the map, and correct recoveries from the others.
     brier
         Mean Brier score of the probabilities that are stated meanwhile, 0 (certain and right) to 2.
+    brier_expected
+        The score that calibrated probabilities would have on average: k equal ones have 1 - 1 / k.
     reliability
         For bins of stated probabilities: their mean, the fraction that was right, and their number.
     """
@@ -67,6 +69,7 @@ class LostSummary(TypedDict):
     alike: int | None
     unique_found: int | None
     brier: float | None
+    brier_expected: float | None
     reliability: list[tuple[float, float, int]]
 
 
@@ -103,6 +106,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         alike=None,
         unique_found=None,
         brier=None,
+        brier_expected=None,
         reliability=[],
     )
     # 2. Numbers of detection and recovery, where they apply.
@@ -115,7 +119,8 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         summary["alike"] = len(results) - len(unique)
         summary["unique_found"] = sum(result.found_after_s is not None and result.right for result in unique)
         stated = [instant for result in results for instant in result.stated]
-        summary["brier"], summary["reliability"] = brier_score(stated), reliability(stated)
+        summary["brier"], summary["brier_expected"] = brier_score(stated), expected_brier_score(stated)
+        summary["reliability"] = reliability(stated)
     return summary
 
 
@@ -139,6 +144,26 @@ def brier_score(stated: Stated) -> float | None:
         if not any(right for _, right in instant):
             rest = 1.0 - sum(probability for probability, _ in instant)
             total += (rest - 1.0) ** 2
+    return total / len(stated)
+
+
+def expected_brier_score(stated: Stated) -> float | None:
+    """Return the mean of `brier_score` if the stated probabilities, and elsewhere with the rest, are the true ones.
+
+    The score of outcome i is 1 - 2 p_i + S, S = sum_j p_j^2, and that of elsewhere S + (1 - p)^2, p its probability.
+    The mean is 1 - p + p (1 - p)^2 - S. Of k equal probabilities it is 1 - 1 / k.
+
+    References
+    ----------
+    Brocker, Reliability, sufficiency, and the decomposition of proper scores (2009): the entropy of a forecast.
+    """
+    if not stated:
+        return None
+    total = 0.0
+    for instant in stated:
+        elsewhere = max(1.0 - sum(probability for probability, _ in instant), 0.0)
+        squares = sum(probability**2 for probability, _ in instant)
+        total += 1.0 - elsewhere + elsewhere * (1.0 - elsewhere) ** 2 - squares
     return total / len(stated)
 
 
@@ -204,7 +229,10 @@ def words(summary: LostSummary) -> str:
         )
     if summary["brier"] is not None:
         rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary["reliability"])
-        lines.append(f"  stated probabilities: Brier score {summary['brier']:.3f}; right of those stated: {rows}")
+        lines.append(
+            f"  stated probabilities: Brier score {summary['brier']:.3f}, {summary['brier_expected']:.3f} expected if "
+            f"calibrated; right of those stated: {rows}"
+        )
     return "\n".join(lines)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost import summaries, words
+from localization.experiments.lost import brier_score, expected_brier_score, summaries, words
 from localization.experiments.lost_trial import Case, Kind, LostResult
 
 
@@ -57,3 +57,15 @@ def test_summaries_per_kind_in_order_of_cases() -> None:
     outcome = LostResult(60.0, 0, 0.0, 0.2)
     found = summaries({case(kind, 0): outcome for kind in (Kind.UNKNOWN_START, Kind.TRACKING)})
     assert [summary["kind"] for summary in found] == ["nowhere", "calm"]
+
+
+@pytest.mark.parametrize("probabilities", [(0.25,) * 4, (0.7, 0.2), (1.0,), (0.1,) * 8])
+def test_the_expected_brier_score_is_the_mean_over_outcomes(probabilities: tuple[float, ...]) -> None:
+    """Oracle: the score of each outcome, elsewhere among them, weighted by its probability."""
+    outcomes = [*range(len(probabilities)), None]
+    weights = [*probabilities, 1.0 - sum(probabilities)]
+    instants = [[(p, i == right) for i, p in enumerate(probabilities)] for right in outcomes]
+    scores = [brier_score([instant]) for instant in instants]
+    mean = sum(weight * score for weight, score in zip(weights, scores, strict=True) if score is not None)
+    assert expected_brier_score([instants[0]]) == pytest.approx(mean, abs=1e-9)
+    assert expected_brier_score([]) is None
