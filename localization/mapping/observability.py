@@ -77,8 +77,9 @@ class Observability(NamedTuple):
 def compute_observability(config: LocalizationConfig, positions: Floats, speed_in_s: float = 5.0) -> Observability:
     """Return the bound at positions (n, 2) in inches, for a robot that drives at `speed_in_s`."""
     information = np.empty((len(positions), 3, 3))
+    around = reflectors(wall_map(config.walls).segments)
     for block in _blocks(positions):
-        information[block] = _cycle_information(config, positions[block]) / HEADINGS
+        information[block] = _cycle_information(config, around, positions[block]) / HEADINGS
     directions = np.arange(DIRECTIONS) * (tau / DIRECTIONS)
     covs = np.stack(
         [_bound_after_cycles(config.odometry, information, speed_in_s * CYCLE_S, direction) for direction in directions]
@@ -151,7 +152,7 @@ def _blocks(positions: Floats) -> Iterator[npt.NDArray[np.intp]]:
     yield from np.split(order, np.flatnonzero(np.diff(squares.ravel()[order])) + 1)
 
 
-def _cycle_information(config: LocalizationConfig, positions: Floats) -> Floats:
+def _cycle_information(config: LocalizationConfig, around: Reflectors, positions: Floats) -> Floats:
     """Return the sum of J (n, 3, 3) over all headings of the ring at neighbouring positions (n, 2)."""
     # A sonar at an angle from the heading sees the same as one straight ahead of a robot turned by that angle.
     headings = np.arange(HEADINGS) * (tau / SONARS / HEADINGS)
@@ -159,7 +160,7 @@ def _cycle_information(config: LocalizationConfig, positions: Floats) -> Floats:
     poses = np.empty((len(positions), len(beams), 3))
     poses[..., :2], poses[..., HEADING] = positions[:, None], beams
     if isinstance(config.sonar, ConeSonar):
-        return _cone_information(poses, config.body, config.sonar, reflectors(wall_map(config.walls).segments))
+        return _cone_information(poses, config.body, config.sonar, around)
     return _ray_information(poses, config.body, config.sonar, wall_map(config.walls))
 
 
