@@ -140,10 +140,11 @@ def brier_score(stated: Stated) -> float | None:
         return None
     total = 0.0
     for instant in stated:
-        total += sum((probability - right) ** 2 for probability, right in instant)
-        if not any(right for _, right in instant):
-            rest = 1.0 - sum(probability for probability, _ in instant)
-            total += (rest - 1.0) ** 2
+        # Hypotheses that are all right within the tolerance are one outcome.
+        of_right = [probability for probability, right in instant if right]
+        total += sum(probability**2 for probability, right in instant if not right)
+        rest = sum(of_right) if of_right else 1.0 - sum(probability for probability, _ in instant)
+        total += (1.0 - rest) ** 2
     return total / len(stated)
 
 

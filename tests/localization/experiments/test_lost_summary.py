@@ -69,3 +69,9 @@ def test_the_expected_brier_score_is_the_mean_over_outcomes(probabilities: tuple
     mean = sum(weight * score for weight, score in zip(weights, scores, strict=True) if score is not None)
     assert expected_brier_score([instants[0]]) == pytest.approx(mean, abs=1e-9)
     assert expected_brier_score([]) is None
+
+
+def test_two_right_hypotheses_are_one_outcome() -> None:
+    assert brier_score([[(0.6, True), (0.4, True)]]) == pytest.approx(0.0)
+    assert brier_score([[(0.5, True), (0.2, True), (0.3, False)]]) == pytest.approx(0.18)
+    assert brier_score([[(0.5, False), (0.3, False)]]) == pytest.approx(0.25 + 0.09 + 0.64)
