@@ -17,8 +17,7 @@ For each wall, from p1 to p2, and a ray from o along the unit vector d:
     3. Nearest      the smallest range that is not behind
 
 Here d . v = dx v_x + dy v_y, and d x v = dx v_y - dy v_x. The range is a mean of ahead_1 and ahead_2 with positive
-weights, so nothing cancels. Two walls that share an end agree
-on its side, so no ray passes between them.
+weights, so nothing cancels. Two walls that share an end agree on its side, so no ray passes between them.
 
 References
 ----------
@@ -47,9 +46,12 @@ the finest unit of a robot is 1e-2, so 1e-9 is far from both: answers are exact 
 ON_WALL_IN: Final = 1e-9
 """A ray that starts this little behind a wall starts on it, inches; for the same reason."""
 
-SAME_SIDE_IN2: Final = ON_LINE_IN * 4e5
-"""Two ends whose sides multiply to more than this lie on one side, neither of them on the line: no side exceeds 4e5 in,
-so the smaller one exceeds ON_LINE_IN."""
+MAX_SIDE_IN: Final = 4e5
+"""No end is farther from the line of a ray: coordinates are at most 1e5 in."""
+
+SAME_SIDE_IN2: Final = ON_LINE_IN * MAX_SIDE_IN
+"""If side_1 * side_2 is more than this, both ends are on one side, and neither is on the line: the smaller side is
+more than ON_LINE_IN, since the larger is at most MAX_SIDE_IN."""
 
 _NEVER_ZERO: Final = 1e-200
 """Added to a difference of sides: changes only 0, to avoid the division by it."""
@@ -61,9 +63,8 @@ _NEVER_ZERO: Final = 1e-200
 def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> tuple[float, int]:
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest wall, and its row.
 
-    Walls are closed: a ray through an end meets it. A ray that starts on a wall meets it at range 0, in any direction
-    (except one that leaves a slanted wall at less than 1e-5 rad without lying in it: rounding decides). A wall seen
-    end-on is met at its nearer end.
+    Walls are closed: a ray through an end meets it. A ray that starts on a wall meets it at range 0, in any direction.
+    A wall seen end-on is met at its nearer end.
 
     Parameters
     ----------
@@ -74,15 +75,22 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> t
     -------
     tuple of float and int
         Range >= 0 in inches and row; inf and NO_WALL where nothing is met.
+
+    Notes
+    -----
+    Rounding decides whether a ray meets the wall that it starts on if it leaves that wall at less than 1e-5 rad.
     """
     nearest, hit = inf, NO_WALL
     for row, (x1, y1, x2, y2) in enumerate(walls):
         # 1. Set up: most walls have both ends clearly on one side, some are wholly behind or farther than the nearest.
-        to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
-        side_1, side_2 = dx * to_y_1 - dy * to_x_1, dx * to_y_2 - dy * to_x_2
+        to_x_1, to_y_1 = x1 - x, y1 - y
+        to_x_2, to_y_2 = x2 - x, y2 - y
+        side_1 = dx * to_y_1 - dy * to_x_1
+        side_2 = dx * to_y_2 - dy * to_x_2
         if side_1 * side_2 > SAME_SIDE_IN2:
             continue
-        ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+        ahead_1 = to_x_1 * dx + to_y_1 * dy
+        ahead_2 = to_x_2 * dx + to_y_2 * dy
         if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
             continue
         # 2. Intersect.
@@ -102,11 +110,15 @@ def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> f
         Inches; negative behind the origin, inf where they do not meet.
     """
     on_line_1, on_line_2 = abs(side_1) <= ON_LINE_IN, abs(side_2) <= ON_LINE_IN
+    # 1. Neither end is on the line: it meets the wall if they are on different sides of it.
     if not (on_line_1 or on_line_2):
         return inf if side_1 * side_2 > 0.0 else float(mean_ahead(ahead_1, side_1, ahead_2, side_2))
     nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
-    if on_line_1 and on_line_2:  # the wall is seen end-on
+    # 2. Both are, so the wall lies in the line: behind the origin, or met at its nearer end, or all around the origin.
+    if on_line_1 and on_line_2:
         return farther if farther < 0.0 else max(nearer, 0.0)
+    # 3. One is, to either side within ON_LINE_IN. If both are on the same side, the mean is beyond that end: limit it
+    #    to the wall.
     return min(max(float(mean_ahead(ahead_1, side_1, ahead_2, side_2)), nearer), farther)
 
 
@@ -118,13 +130,12 @@ def mean_ahead(ahead_1: Any, side_1: Any, ahead_2: Any, side_2: Any) -> Any:
 def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
     """Return range and row of `nearest_wall` for walls in an array (m, 4), contiguous, to the same bit.
 
-    Among many walls, those with ends on both sides are selected in arrays first. Some processors round a sum of
-    products once, others twice, so the arrays decide no range.
+    Among many walls, arrays select those whose ends are not clearly on one side, and the loop decides. So it does not
+    matter that arrays may round otherwise, where the processor has a fused multiply-add.
     """
     if len(walls) <= MAX_LOOP_WALLS:
         return nearest_wall(x, y, dx, dy, walls.tolist())
-    # An end as a complex number, times the conjugate of the direction, is ahead + i side: one pass over both ends of
-    # all walls, and faster than dx * to_y - dy * to_x.
+    # side = dx to_y - dy to_x is the imaginary part of (to_x + i to_y) (dx - i dy), which takes one pass over all ends.
     ends = walls.view(np.complex128)
     sides = ((ends - complex(x, y)) * complex(dx, -dy)).imag
     rows = (sides[:, 0] * sides[:, 1] <= SAME_SIDE_IN2).nonzero()[0]
@@ -136,39 +147,43 @@ def sole_wall(x: float, y: float, dx: float, dy: float, walls: WallRows, margin_
     """Return the row of the only wall that this ray and all rays near it can meet; NO_WALL if that is uncertain.
 
     The filter asks this before it casts rays from displaced poses, and most often need not cast them
-    (localization/filters/sonar_ray.py).
+    (localization/filters/sonar_ray.py). In the frame of a near ray, each end of a wall has another `ahead` and `side`
+    than in the frame of this one, but neither differs by more than the margin. So a wall whose numbers keep their signs
+    when they change by the margin is met by all near rays or by none. The condition is sufficient, not necessary.
 
     Parameters
     ----------
     margin_in
-        A ray is near if it moves no end of a wall by more than this in the frame of the ray, nor its origin, inches.
+        Near rays start at most so far from this one, and in their frames no `ahead` and `side` differs by more, inches.
 
     Returns
     -------
     int
-        The condition is sufficient only: for NO_WALL, cast the rays.
+        A row, or NO_WALL: then cast the rays.
     """
     sole = NO_WALL
     origin_side, origin_ahead = dx * y - dy * x, x * dx + y * dy
     for row, (x1, y1, x2, y2) in enumerate(walls):
         # 1. Both ends clearly on one side, or clearly behind: no near ray meets the wall.
-        side_1, side_2 = dx * y1 - dy * x1 - origin_side, dx * y2 - dy * x2 - origin_side
+        side_1 = dx * y1 - dy * x1 - origin_side
+        side_2 = dx * y2 - dy * x2 - origin_side
         if (side_1 > margin_in and side_2 > margin_in) or (side_1 < -margin_in and side_2 < -margin_in):
             continue
-        ahead_1, ahead_2 = x1 * dx + y1 * dy - origin_ahead, x2 * dx + y2 * dy - origin_ahead
+        ahead_1 = x1 * dx + y1 * dy - origin_ahead
+        ahead_2 = x2 * dx + y2 * dy - origin_ahead
         if ahead_1 < -margin_in and ahead_2 < -margin_in:
             continue
-        # 2. The distance of the origin from the wall's line, times the wall's length: (p_1 - o) x (p_2 - o).
+        # 2. (p_1 - o) x (p_2 - o): the distance of the origin from the wall's line, times the wall's length, of which
+        #    |x2 - x1| + |y2 - y1| is an upper bound.
         cross = ahead_1 * side_2 - ahead_2 * side_1
-        # 3. Uncertain unless the ends are clearly on different sides, and the origin is clearly off the wall's line.
-        if (
-            abs(side_1) <= margin_in
-            or abs(side_2) <= margin_in
-            or abs(cross) <= margin_in * (abs(x2 - x1) + abs(y2 - y1))
-        ):
+        is_end_near_line = abs(side_1) <= margin_in or abs(side_2) <= margin_in
+        is_origin_near_wall = abs(cross) <= margin_in * (abs(x2 - x1) + abs(y2 - y1))
+        if is_end_near_line or is_origin_near_wall:
             return NO_WALL
-        # 4. All near rays meet the wall ahead, where range = cross / (side_2 - side_1) is positive, or none does.
-        if (cross > 0.0) == (side_2 > side_1):
+        # 3. The ends are on different sides, so the line meets the wall at range = cross / (side_2 - side_1): ahead if
+        #    both have the same sign.
+        is_met = (cross > 0.0) == (side_2 > side_1)
+        if is_met:
             if sole != NO_WALL:
                 return NO_WALL
             sole = row

@@ -8,11 +8,13 @@
 
 Results go to stdout. The reason why a frame is invalid goes to stderr, except in a dump, which has an object per line.
 
-Calls have the names of the C interface (nclient/protocol/commands.py). Those with special arguments here:
+Calls have the names and arguments of the C interface, Nclient.h. Four of them need a word here:
 
-    ct           set the mask: 44 numbers, one for each value of a state reply, 0 leaves it out
-    tk           say a text (Nomad 200)
-    place_robot  set pose; on the serial line it is sent as dp (position) and da (angles)
+    ct               select what a state reply contains. Its argument is a mask of 44 numbers: 1 to 43 are 1 if that
+                     element of State is sent, 0 if not; number 0 selects position data by its bits, 0 to 31
+    tk               say a text (Nomad 200)
+    place_robot      set the pose; the serial line has two commands for it, dp (position) and da (angles)
+    special_request  send a packet of any type
 """
 
 import argparse
@@ -31,22 +33,30 @@ from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.types import EVERYTHING, MODELS, Mask, get_model
 from nclient.protocol.wire_state import serial_wire_state
 
-# Defaults of --line and --model, which may stand before or after the verb. A default of the option itself would be set
-# once more by the verb's parser, and replace a value given before the verb.
-_DEFAULTS = {"line": "tcp", "model": "n150"}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add encode, decode, dump and dissector; --line and --model may stand before or after them."""
-    _add_line(parser)
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump|dissector", required=True)
-    names = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
-    encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{names}")
+    _add_encode(verbs)
+    _add_decode(verbs)
+    _add_verb(verbs, "dump", getdoc(_dump) or "")
+    _add_verb(verbs, "dissector", getdoc(_dissector) or "")
+    _add_protocol(parser)
+    # Not as defaults of the options: the verb's parser would set them again, over what was given before the verb.
+    parser.set_defaults(line="tcp", model="n150")
+
+
+def _add_encode(verbs: Any) -> None:
+    calls = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
+    encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{calls}")
     encode.add_argument("call", metavar="CALL", help="C name, such as vm, get_sn, special_request")
     encode.add_argument("args", nargs="*", metavar="ARG", help="arguments of the call")
     encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
     encode.add_argument("--packet-type", type=int, metavar="N", help="packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
+
+
+def _add_decode(verbs: Any) -> None:
     decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
     decode.add_argument("hex", nargs="+", metavar="HEX", action=_JoinHex, help="bytes of one frame")
     decode.add_argument(
@@ -57,27 +67,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mask", type=_mask, default=EVERYTHING, help="44 numbers of the mask in force (default: all on)"
     )
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
-    _add_verb(verbs, "dump", getdoc(_dump) or "")
-    _add_verb(verbs, "dissector", getdoc(_dissector) or "")
-    parser.set_defaults(**_DEFAULTS)
 
 
 def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParser:
+    """Add the parser of a verb, with the first line of its description as its help."""
     parser: argparse.ArgumentParser = verbs.add_parser(
-        name, help=description.partition("\n")[0].removesuffix("."), description=description,
+        name,
+        help=description.partition("\n")[0].removesuffix("."),
+        description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    _add_line(parser)
+    _add_protocol(parser)
     return parser
 
 
-def _add_line(parser: argparse.ArgumentParser) -> None:
+def _add_protocol(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--line", choices=WIRES, default=argparse.SUPPRESS,
+        "--line",
+        choices=WIRES,
+        default=argparse.SUPPRESS,
         help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)",
     )
     parser.add_argument(
-        "--model", choices=tuple(MODELS), default=argparse.SUPPRESS,
+        "--model",
+        choices=tuple(MODELS),
+        default=argparse.SUPPRESS,
         help="model of the robot on the serial line (default: n150)",
     )
 
@@ -120,36 +134,39 @@ def _encode(options: argparse.Namespace) -> int:
 
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
-    """Yield the calls for the arguments of the C call, with pid, mask or packet type added."""
+    """Yield the calls to encode: one, or two for place_robot on the serial line."""
     command = _find_command(options.call)
-    # 1. A text needs no conversion.
+    # 1. The only call with a text.
     if command.name == "tk":
-        yield Call(command.name, (" ".join(options.args),))
+        yield Call("tk", (" ".join(options.args),))
         return
-    # 2. All others have numbers; on the serial line place_robot is sent as two commands, position and angles.
+    # 2. Position and angles. With a wrong number of arguments it goes on, and the encoder says how many it takes.
     args = tuple(_number(word) for word in options.args)
     if command.name == "place_robot" and options.line == "serial" and len(args) == 4:
-        yield from (Call("dp", args[:2]), Call("da", args[2:]))
+        x, y, steering, turret = args
+        yield Call("dp", (x, y))
+        yield Call("da", (steering, turret))
         return
-    # 3. An argument that the frame has and the C call has not.
-    if command.extra_arguments:
-        name, _ = command.extra_arguments
-        args = _add_argument(name, args, options)
-    yield Call(command.name, args)
+    # 3. All others, with what their frames have besides the arguments of the C call.
+    yield Call(command.name, _frame_arguments(command, args, options))
 
 
-def _add_argument(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the arguments with the process id (last), the mask (alone), or the packet type (first)."""
-    if name == "pid":
-        return (*args, options.pid)
-    if name == "mask":
-        if args:
-            raise WireError("ct takes no arguments; give the mask with --mask")
-        mask: Mask = options.mask
-        return mask.smask
-    if options.packet_type is None:
-        raise WireError("special_request needs its --packet-type")
-    return (options.packet_type, *args)
+def _frame_arguments(command: Command, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the arguments in the order of the frame, with the pid, mask or packet type that the C call has not."""
+    if command.extra_arguments is None:
+        return args
+    match command.extra_arguments:
+        case ("pid", _):
+            return (*args, options.pid)
+        case ("mask", _):
+            if args:
+                raise WireError(f"{command.name} takes no arguments; give the mask with --mask")
+            mask: Mask = options.mask
+            return mask.smask
+        case _:  # packet_type
+            if options.packet_type is None:
+                raise WireError(f"{command.name} needs its --packet-type")
+            return (options.packet_type, *args)
 
 
 def _decode(options: argparse.Namespace) -> int:

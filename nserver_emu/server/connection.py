@@ -120,7 +120,7 @@ class ConnectionHandler(ABC):
         state          work left   next turn                                  port is read
         OPEN           no          none                                       unless channel or queue is full
         OPEN           yes         queued, or the timer of the rate limit     no
-        PAUSED         any         none is scheduled; a queued one sends none no
+        PAUSED         any         none; a queued one answers no request      no
         DISCONNECTED   no          none                                       no; `tick` looks for a host
         CLOSED         no          none                                       no
 
