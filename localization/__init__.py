@@ -6,7 +6,7 @@ filters/          belief, odometry, sonar models, and the filters (EKF, UKF, smo
 plot              plots of a run: trajectory, errors, innovations, NEES
 live/             the localizer of a connected robot: states in, estimates out; saved estimates, publishing, pictures
 navigation/       paths, roadmap, planner, path follower, obstacles, pilot, calibration drive, missions
-mapping/          observability of maps
+mapping/          maps learned by driving, their comparison with drives, and how well they localize
 cli/              the commands localize, go, mission, calibrate, map of `nomad`
 experiments/      figures of the thesis and further experiments with simulated robots
 """
