@@ -45,8 +45,9 @@ GATE_IN: Final = 0.4
 """Added to the gate: poses and features are uncertain as well."""
 HALF_CONE_RAD: Final = radians(12.5 + 4.0)
 """Half angle of a cone, and the uncertainty of the heading."""
-GROWTH_IN: Final = 20.0
-"""A wall may be measured this far beyond the part seen so far: a gap this wide is one that a robot passes."""
+MIN_GROWTH_IN, MAX_GROWTH_IN, GROWTH = 20.0, 48.0, 0.4
+"""A wall may be measured this fraction of its length beyond the part seen so far, within limits: beyond a gap that a
+robot passes. The line of a wall of 120 in is known well enough beyond a door."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
@@ -242,7 +243,8 @@ def residual_matrix(
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet = _wall_geometry(sensors, state.walls, problem.rays)
-    on_wall = (feet > extents[:, 0] - GROWTH_IN) & (feet < extents[:, 1] + GROWTH_IN)
+    growth = np.clip(GROWTH * (extents[:, 1] - extents[:, 0]), MIN_GROWTH_IN, MAX_GROWTH_IN)
+    on_wall = (feet > extents[:, 0] - growth) & (feet < extents[:, 1] + growth)
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
     # 2. Points.

@@ -28,7 +28,7 @@ import numpy as np
 from localization.filters.belief import POSE, Floats, chi_square_quantile
 from localization.mapping.association import MapEstimate, segments_of
 from localization.mapping.measurements import Indices
-from localization.mapping.problem import COMMON_OFFSET, Assignment, MapProblem, MapState
+from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, Assignment, MapProblem, MapState
 
 RISK: Final = 0.001
 """Probability with which a sound drive fails the test of the whole, or one of those of all parts."""
@@ -38,6 +38,10 @@ MAX_CORRELATION: Final = 0.5
 """Rounding and surface are at most half of the variance of neighbouring echoes."""
 LOOP_NODES: Final = 40
 """A feature that was not measured for 20 s was left: coming back closes a loop."""
+
+
+STRETCH_NODES: Final = 40
+"""Nodes of a stretch of which the explained ranges are counted: 20 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +95,36 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
         Part(*part, chi_square_quantile(1.0 - risk, max(part[-1], MIN_FREEDOM) * effective) / effective)
         for part, risk in ((whole, RISK), *((part, RISK / len(parts)) for part in parts))
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of a drive: its middle (2,), the fraction of its ranges that the map explains, and their number."""
+
+    place: Floats
+    explained: float
+    ranges: int
+
+    @property
+    def at_most(self) -> float:
+        """Upper bound of the fraction, two standard deviations of a binomial distribution above it."""
+        return self.explained + 2.0 * float(np.sqrt(self.explained * (1.0 - self.explained) / self.ranges))
+
+
+def least_explained(estimate: MapEstimate) -> Stretch | None:
+    """Return the stretch of which the map explains the least; None for a drive shorter than one.
+
+    Where the path is bent or a wall is wrong, the echoes of a few metres fit nothing, which a long drive averages out.
+    """
+    node, positions = estimate.problem.trajectory.node, estimate.state.poses[:, :2]
+    is_explained = estimate.assignment.feature != NO_FEATURE
+    stretches = []
+    for first in range(0, len(positions) - STRETCH_NODES + 1, STRETCH_NODES):
+        echoes = (node >= first) & (node < first + STRETCH_NODES)
+        if (count := int(echoes.sum())) >= STRETCH_NODES:
+            place = positions[first : first + STRETCH_NODES].mean(axis=0)
+            stretches.append(Stretch(place, float(is_explained[echoes].mean()), count))
+    return min(stretches, key=lambda stretch: stretch.at_most, default=None)
 
 
 def _loops(nodes_of_features: list[Indices]) -> list[tuple[int, int]]:

@@ -75,7 +75,7 @@ MIN_THICKNESS_IN: Final = 2.0
 """Two faces of a wall are at least this far apart; nearer lines may be the same face, by the odometry's drift."""
 MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
-SWALLOW_IN: Final = 24.0
+SWALLOW_IN: Final = 40.0
 """Walls seen over a shorter length may be a corner."""
 MIN_JOIN_ECHOES: Final = 4
 """Echoes that must support a wall between two points, unless no sound passes where it should."""

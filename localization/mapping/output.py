@@ -16,7 +16,7 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.mapping.association import MapEstimate, crossings, segments_of
-from localization.mapping.consistency import Part, check_parts
+from localization.mapping.consistency import Part, Stretch, check_parts, least_explained
 from localization.mapping.learn import find_undecided
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
@@ -30,6 +30,8 @@ DECIMALS: Final = 7
 """Of coordinates in the file: far below the 1e-6 in within which ends touch."""
 MIN_EXPLAINED: Final = 0.7
 """Least fraction of the ranges that the map must explain."""
+MIN_EXPLAINED_SOMEWHERE: Final = 0.6
+"""The same in any 20 s of the drive, as far as their number tells."""
 MAX_CHI_SQUARE: Final = 1.5
 """Highest sum of squared residuals per degree of freedom, 1 for a model that fits."""
 MIN_WALLS: Final = 2
@@ -60,11 +62,14 @@ class Quality:
         Chi-square tests of the residuals of odometry and explained ranges: of the whole drive, and of its parts.
     undecided
         Middles (k, 2) of walls that are as probably one with another wall beside them.
+    least
+        The stretch of the drive of which the map explains the least; None for a drive shorter than one.
     """
 
     explained: float
     parts: tuple[Part, ...]
     undecided: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    least: Stretch | None = None
 
     @property
     def chi_square(self) -> float:
@@ -79,7 +84,11 @@ class Quality:
     def turned(self, angle_rad: float) -> Quality:
         """Return the same with all places turned about the origin."""
         parts = tuple(replace(part, place=rotate(part.place, np.array(angle_rad))) for part in self.parts)
-        return replace(self, parts=parts, undecided=rotate(self.undecided, np.full(len(self.undecided), angle_rad)))
+        least = self.least
+        if least is not None:
+            least = replace(least, place=rotate(least.place, np.array(angle_rad)))
+        undecided = rotate(self.undecided, np.full(len(self.undecided), angle_rad))
+        return replace(self, parts=parts, undecided=undecided, least=least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +155,13 @@ class LearnedMap:
             return (
                 f"its walls explain {quality.explained:.0%} of the ranges, at least {MIN_EXPLAINED:.0%} are needed: "
                 "--sonars is wrong, things moved, or the odometry is worse than --odometry-noise"
+            )
+        if quality.least is not None and quality.least.at_most < MIN_EXPLAINED_SOMEWHERE:
+            x, y = quality.least.place
+            return (
+                f"near ({x:.0f}, {y:.0f}) its walls explain {quality.least.explained:.0%} of the ranges of 20 s, at "
+                f"least {MIN_EXPLAINED_SOMEWHERE:.0%} are needed everywhere: the path is bent there, or things moved; "
+                "drive there again, along the walls"
             )
         if quality.chi_square > MAX_CHI_SQUARE:
             return (
@@ -261,7 +277,8 @@ def quality_of(estimate: MapEstimate) -> Quality:
     explained = int((estimate.assignment.feature != NO_FEATURE).sum())
     middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
     undecided = middles[[one for one, _ in find_undecided(estimate)]]
-    return Quality(explained / count if count else 0.0, tuple(check_parts(estimate)), undecided)
+    share = explained / count if count else 0.0
+    return Quality(share, tuple(check_parts(estimate)), undecided, least_explained(estimate))
 
 
 def calibration_of(estimate: MapEstimate) -> Calibration:

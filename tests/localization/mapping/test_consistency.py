@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
-from localization.mapping.consistency import RISK, check_parts, leverages
+from localization.mapping.consistency import RISK, check_parts, least_explained, leverages
 from localization.mapping.learn import find_undecided
 from localization.mapping.output import describe
 from localization.mapping.problem import NO_FEATURE, MapProblem
@@ -104,3 +104,23 @@ def test_wall_that_may_be_two_is_undecided(estimate: MapEstimate) -> None:
     double.assignment = replace(double.assignment, feature=feature)
     assert [set(pair) for pair in find_undecided(double)] == [{0, len(estimate.state.walls)}]
     assert "one wall or two" in describe(double).reason_to_refuse()
+
+
+def test_stretch_that_nothing_explains_refuses_the_map(estimate: MapEstimate) -> None:
+    node = estimate.problem.trajectory.node
+    feature = estimate.assignment.feature.copy()
+    # Of the ranges of 20 s only every second one is explained; the whole drive has more.
+    feature[(node >= 40) & (node < 80) & (np.arange(len(node)) % 2 == 0)] = NO_FEATURE
+    worse = replace(estimate, assignment=replace(estimate.assignment, feature=feature))
+    least, found = least_explained(worse), describe(worse)
+    assert least is not None
+    assert 0.4 < least.explained < 0.55
+    in_stretch = (node >= 40) & (node < 80)
+    assert least.explained == pytest.approx(float((feature[in_stretch] != NO_FEATURE).mean()))
+    count = int(in_stretch.sum())
+    np.testing.assert_allclose(least.place, estimate.state.poses[40:80, :2].mean(axis=0))
+    # Two standard deviations of a mean.
+    std = float(np.std(feature[in_stretch] != NO_FEATURE)) / count**0.5
+    assert least.at_most - least.explained == pytest.approx(2.0 * std)
+    assert found.quality.explained > 0.7
+    assert "of the ranges of 20 s" in found.reason_to_refuse()
