@@ -77,6 +77,10 @@ TOURS: Final[dict[str, tuple[Point, ...]]] = {
     ),
 }  # fmt: skip
 """Waypoints along all walls and past all vertices; at most 300 s of driving."""
+LONG_TOURS: Final[dict[str, tuple[Point, ...]]] = {"corridor": ((200, 39), (1530, 39), (1530, 45), (39, 39))}
+"""Waypoints there and back, for `--time-limit 900`."""
+LONG_STARTS: Final = {"corridor": 2}
+"""Number of the start of those drives; of others the first."""
 FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
     "thesis_room": ((60, 40), (80, 80), (0, 60), (0, 0)),
     "several_walls": ((35, 20), (35, 55), (75, 55), (35, 60), (20, 20)),
@@ -92,6 +96,8 @@ MAX_BEARING_RAD: Final = 0.5
 FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
 SAMPLE_IN: Final = 1.0
 MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
+CLOSED_IN: Final = 2.0
+"""A loop is closed if the last position is so near to where the first one puts it."""
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization."""
 SETUPS: Final = ("measured", "noisy", "worn", "building")
@@ -148,6 +154,8 @@ class Score:
         RMSE of the learned path and of the encoders, after the best rigid fit each.
     true_map_in, own_map_in
         RMSE of a localization on another drive with the true map and with the learned one.
+    closing_in, odometry_closing_in
+        Error of the last position in the frame of the first pose, of the learned path and of the encoders.
     """
 
     trial: Trial
@@ -170,6 +178,8 @@ class Score:
     own_map_in: float
     contacts: int = 0
     live_seconds: float = 0.0
+    closing_in: float = 0.0
+    odometry_closing_in: float = 0.0
 
 
 # A drive.
@@ -193,7 +203,7 @@ class Drive:
 def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
     """Return a drive along waypoints, steered by the true pose."""
     path = folder / f"{trial.world}_{trial.setup}_{trial.seed}.log"
-    start = load_world(trial.world).starts[0]
+    start = load_world(trial.world).starts[LONG_STARTS.get(trial.world, 0)]
     navigator = Navigator(points, radius_in=RADIUS_IN)
     truth = []
     address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
@@ -304,6 +314,12 @@ def fit_error(points: Floats, targets: Floats) -> float:
     """Return the root mean square distance (in) of points from targets after the best rigid fit."""
     turn, shift = rigid_fit(points, targets)
     return float(np.sqrt(np.square(rotate(points, np.full(len(points), turn)) + shift - targets).sum(axis=-1).mean()))
+
+
+def closing_error(path: Floats, targets: Floats) -> float:
+    """Return the error (in) of the last position of a path (n, 3) in the frame of its first pose."""
+    ends = [rotate(poses[-1, :2] - poses[0, :2], np.array(-poses[0, 2])) for poses in (path, targets)]
+    return float(np.hypot(*(ends[0] - ends[1])))
 
 
 def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
@@ -419,7 +435,8 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
 def run(trial: Trial) -> tuple[Trial, Score]:
     """Run a trial."""
     with tempfile.TemporaryDirectory() as folder:
-        driven = explore(trial, Path(folder)) if trial.explores else drive(trial, TOURS[trial.world], Path(folder))
+        tours = TOURS | LONG_TOURS
+        driven = explore(trial, Path(folder)) if trial.explores else drive(trial, tours[trial.world], Path(folder))
         fresh = None
         if trial.world in FRESH_TOURS:
             fresh = drive(trial._replace(seed=trial.seed + OTHER_SEED), FRESH_TOURS[trial.world], Path(folder))
@@ -432,7 +449,9 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     # 2. Against the truth.
     trajectory = estimate.problem.trajectory
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
-    turn, shift = rigid_fit(found.path[:, :2], driven.truth_at(trajectory.instants_s)[:, :2])
+    true_path = driven.truth_at(trajectory.instants_s)
+    closing = (closing_error(found.path, true_path), closing_error(trajectory.odometry, true_path))
+    turn, shift = rigid_fit(found.path[:, :2], true_path[:, :2])
     own = true = math.nan
     if fresh is not None:
         if found.walls:
@@ -441,7 +460,8 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     duration = float(driven.log.encoders[-1, 0] - driven.log.encoders[0, 0])
     return trial, Score(trial, duration, **numbers, refused=found.reason_to_refuse(), seconds=seconds,
                         true_map_in=true, own_map_in=own,
-                        contacts=driven.contacts, live_seconds=driven.live_seconds)  # fmt: skip
+                        contacts=driven.contacts, live_seconds=driven.live_seconds, closing_in=closing[0],
+                        odometry_closing_in=closing[1])  # fmt: skip
 
 
 # The table.
@@ -485,6 +505,7 @@ def summarize(scores: Sequence[Score], name: str = "measured") -> list[list[str]
         ["path RMSE: median, worst (in)", "0.3, 0.5", f"{np.median(path):.3f}, {path.max():.2f}"],
         ["runs with a path RMSE above 3 in", "0", str(int((path > 3.0).sum()))],
         ["odometry RMSE: median, worst (in)", "", _range([score.odometry_in for score in scores])],
+        *_rows_of_loops([score for score in scores if score.trial.world in LONG_TOURS]),
         ["localization, own less true map (in)", "0.05, 0.15", localized],
         ["stated standard deviations: rms z", "0.8 to 1.5", f"{np.sqrt(np.square(z).mean()):.2f}"],
         ["maps refused", "", str(sum(bool(score.refused) for score in scores))],
@@ -505,6 +526,24 @@ def _rows_of_walls(scores: Sequence[Score]) -> list[list[str]]:
         inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
         rows.append(["several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}"])
     return rows
+
+
+def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
+    """Return the rows of drives there and back; none without any."""
+    if not scores:
+        return []
+    closed = [score for score in scores if not score.refused and score.closing_in < CLOSED_IN]
+    wrong = [score for score in scores if not score.refused and score.closing_in >= CLOSED_IN]
+    return [
+        ["loops of 40 m there and back closed", "8 of 10", f"{len(closed)} of {len(scores)}"],
+        ["the others written", "0", f"{len(wrong)}"],
+        ["closing error: median, worst (in)", "", _middle_and_worst([score.closing_in for score in scores])],
+        ["that of the odometry (in)", "", _middle_and_worst([score.odometry_closing_in for score in scores])],
+    ]
+
+
+def _middle_and_worst(values: Sequence[float]) -> str:
+    return f"{np.median(values):.2f}, {max(values):.2f}"
 
 
 def _rows_of_exploration(explored: Sequence[Score]) -> list[list[str]]:
@@ -566,7 +605,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
         epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
     )
-    add_choice(parser, "--worlds", (*TOURS, FLAT), list(TOURS), f"worlds; {FLAT} with --explore alone")
+    add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT), list(TOURS), f"worlds; {FLAT} with --explore alone")
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")
     parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S",
                         help="end a drive after this time in s (default: %(default)s)")  # fmt: skip

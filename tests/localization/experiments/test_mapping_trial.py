@@ -13,6 +13,7 @@ from localization.experiments.mapping import (
     Drive,
     Score,
     Trial,
+    closing_error,
     disturbed,
     fit_error,
     read_scores,
@@ -54,6 +55,16 @@ def test_rigid_fit_finds_turn_and_shift() -> None:
     np.testing.assert_allclose(shift, (3.0, 4.0))
     assert fit_error(PATH, rotate(PATH, np.full(len(PATH), -2.0)) + 9.0) == pytest.approx(0.0, abs=1e-9)
     assert fit_error(PATH, 2.0 * PATH) > 1.0
+
+
+def test_closing_error_is_that_of_the_last_position_from_the_first_pose() -> None:
+    path = np.array([[0.0, 0.0, 0.5], [9.0, 9.0, 1.0], [30.0, 40.0, 2.0]])
+    moved = np.column_stack((rotate(path[:, :2], np.full(3, 0.8)) + 7.0, path[:, 2] + 0.8))
+    assert closing_error(moved, path) == pytest.approx(0.0, abs=1e-9)
+    assert closing_error(moved + np.array([[0.0] * 3, [5.0] * 3, [3.0, 4.0, 0.0]]), path) == pytest.approx(5.0)
+    # A first heading that is off by a small angle moves the end by the distance times it.
+    turned = path + np.array([[0.0, 0.0, 0.01], [0.0] * 3, [0.0] * 3])
+    assert closing_error(turned, path) == pytest.approx(0.5, rel=1e-3)
 
 
 def test_true_map_has_no_errors() -> None:
@@ -116,6 +127,20 @@ def test_table_has_a_column_for_each_setup() -> None:
     assert rows["requirement"] == ["required", "measured", "worn"]
     assert rows["thesis_room, centre_vertex: runs with all walls"] == ["99 %", "1 of 1", "0 of 1"]
     assert rows["runs with a path RMSE above 3 in"] == ["0", "0", "1"]
+
+
+def test_table_counts_closed_loops_and_wrong_maps() -> None:
+    there_and_back = Trial("corridor", "measured", 1)
+    scores = [
+        a_score(there_and_back, closing_in=0.5, odometry_closing_in=90.0),
+        a_score(there_and_back, closing_in=7.0, odometry_closing_in=30.0),
+        a_score(there_and_back, closing_in=40.0, odometry_closing_in=60.0, refused="the path crosses a wall"),
+    ]
+    rows = {row[0]: row[2] for row in table(scores)}
+    assert rows["loops of 40 m there and back closed"] == "1 of 3"
+    assert rows["the others written"] == "1"
+    assert rows["closing error: median, worst (in)"] == "7.00, 40.00"
+    assert rows["that of the odometry (in)"] == "60.00, 90.00"
 
 
 def test_results_of_earlier_runs_are_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
