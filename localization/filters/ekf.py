@@ -55,6 +55,7 @@ from localization.filters.update import (
     INFORMATIVE_IN_CLUTTER,
     LIMIT,
     NONE,
+    OUTLIERS,
     CorrelatedReadings,
     Covariance,
     DirectModel,
@@ -64,6 +65,7 @@ from localization.filters.update import (
     State,
     UpdateResult,
     Used,
+    count_outlier,
     count_used,
     kalman_update,
     mount_at,
@@ -205,9 +207,14 @@ class KalmanFilter:
         Only readings that are used can be repeated, and only informative ones enter the health.
         """
         count = self._correlated.count(sonar, turret_offset_rad) + 1
-        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count)
+        outlier_fraction = self._correlated.outlier_fraction
+        result = self._measurement.apply(
+            self._x, self._P, sonar, turret_offset_rad, reading_in, count, outlier_fraction
+        )
         if result.refusal is Refusal.NONE:
             self._correlated.record(sonar, turret_offset_rad)
+        if result.refusal in (Refusal.NONE, Refusal.GATE):
+            self._correlated.count_outlier(result.outlier_probability)
         if result.refusal in self._informative:
             self._monitor.add(result)
             if len(self._slip_sums):
@@ -335,13 +342,15 @@ def filter_ring(
         #    z, the `count`-th reading of this sonar that is used from here.
         turret_offset = turret - to_heading
         mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
-        outcome = correct(x, P, mount, reading_in, model, count)
-        refusal, innovation, nis, _, _, slope = outcome
+        outcome = correct(x, P, mount, reading_in, model, count, used[-1][OUTLIERS])
+        refusal, innovation, nis, outlier_probability, _, slope = outcome
         if refusal == NONE:
             record_used(used, sonar, turret_offset, count)
         # 8. Evidence of a slip of the wheels.
-        if refusal in (NONE, GATE) and len(slip_sums) > 0:
-            add_slip_evidence(slip_sums, innovation, nis, slope)
+        if refusal in (NONE, GATE):
+            count_outlier(used, outlier_probability)
+            if len(slip_sums) > 0:
+                add_slip_evidence(slip_sums, innovation, nis, slope)
         outcomes.append(outcome)
     return outcomes
 

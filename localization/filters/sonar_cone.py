@@ -341,13 +341,20 @@ def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> A
 
 
 def update_by_cone(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int
+    x: State,
+    P: Covariance,
+    mount: SonarMount,
+    reading_in: float,
+    model: ConeModel,
+    count: int,
+    outlier_fraction: float,
 ) -> Outcome:
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
     if refusal != NONE:
         return refusal, 0.0, 0.0, 1.0, likelihood, 0.0
-    return update_by_association(x, P, reading_in, hypotheses(x, candidates, model), linear, count)
+    association = hypotheses(x, candidates, model)
+    return update_by_association(x, P, reading_in, association, linear, count, outlier_fraction)
 
 
 class ConeModel:

@@ -453,7 +453,13 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 
 
 def update_by_ray(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int
+    x: State,
+    P: Covariance,
+    mount: SonarMount,
+    reading_in: float,
+    model: RayModel,
+    count: int,
+    _outlier_fraction: float = 1.0,
 ) -> Outcome:
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
@@ -463,6 +469,8 @@ def update_by_ray(
         The sonar, its direction from the heading.
     count
         Number of this reading among those from the same pose (`CorrelatedReadings`).
+    _outlier_fraction
+        Of no use: outliers do not correct at all.
     """
     # 1. A reading at a limit is no range.
     noise = model.noise

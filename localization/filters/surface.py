@@ -215,7 +215,14 @@ class SurfaceUpdate(MeasurementUpdate):
         self._surface = model
 
     def apply(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
+        self,
+        x: State,
+        P: Covariance,
+        sonar: int,
+        turret_offset_rad: float,
+        reading_in: float,
+        count: int = 1,
+        outlier_fraction: float = 1.0,  # noqa: ARG002  in buildings most echoes are outliers
     ) -> UpdateResult:
         """Correct x and P in place by a reading; see `MeasurementUpdate.apply`."""
         association = self._surface.associate(x, P, sonar, turret_offset_rad, reading_in)

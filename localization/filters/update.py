@@ -60,7 +60,8 @@ CONVERGED: Final = 1e-6
 class Refusal(IntEnum):
     """Reason why a reading is not used; the first that holds is reported.
 
-    A cone's reading with GATE is taken for an outlier with more than half of its probability, and used with the rest.
+    A cone's reading with GATE is taken for an outlier with more than half of its probability. It is used with the rest
+    only where most of the last readings are outliers, or in a building (`pda_update`).
     """
 
     NONE = 0
@@ -216,7 +217,7 @@ class DirectModel(MeasurementModel, Protocol):
 
     @property
     def update(self) -> Callable[..., Outcome]:
-        """Return a function of x, P, mount from the heading, reading, this model, and count (`update_by_ray`)."""
+        """Return a function of x, P, mount from the heading, reading, this model, count and outlier fraction."""
         ...
 
 
@@ -488,7 +489,13 @@ def association_probabilities(
 
 
 def pda_update(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1
+    x: State,
+    P: Covariance,
+    reading_in: float,
+    association: Association,
+    rule: Rule = linear,
+    count: int = 1,
+    outlier_fraction: float = 1.0,
 ) -> PdaResult:
     """Correct x and P by a reading that is of one of k reflectors or an outlier, in place.
 
@@ -500,6 +507,10 @@ def pda_update(
     count
         Number of this reading among those from the same pose (`CorrelatedReadings`): later ones correct by what they
         add, but are associated like the first.
+    outlier_fraction
+        Of the last readings. While most fit, a probable outlier is of something that the map does not have and that is
+        read again and again, and does not correct: each would widen P by the spread of the means, until an error of
+        heading or offset explains them. Else the belief may be wrong, and it corrects by the rest of its probability.
 
     References
     ----------
@@ -513,6 +524,8 @@ def pda_update(
     innovation_in, nis = nan, nan
     if best >= 0:
         innovation_in, nis = corrections[best].innovation, corrections[best].nis
+    if beta[-1] > OUTLIER_THRESHOLD and outlier_fraction <= OUTLIER_THRESHOLD:
+        return PdaResult(beta, likelihood, innovation_in, nis, best)
     # 3. A repeated reading corrects with the variance that leaves its new information.
     if count > 1:
         parts = zip(association.R, association.constant_variance)  # noqa: B905  for numba
@@ -556,10 +569,15 @@ def inflated_variance(variance: float, constant: float, count: int) -> float:
 
 Used = list[list[float]] | Floats
 """For each sonar a row of the first reading that was used from the present pose (`TRAVEL`, ...), and a last row with
-travel and turn so far. Lists for plain Python, an array for compiled code."""
+travel and turn so far, and the fraction of outliers among the last readings. Lists for plain Python, an array for
+compiled code."""
 TRAVEL, TURN, TURRET, COUNT = range(4)
 """Columns: inches travelled and radians turned until this reading, the turret against the heading in radians, and the
 number of readings used from its pose."""
+OUTLIERS: Final = 2
+"""Column of the last row: the recent fraction of outliers."""
+OUTLIER_MEMORY: Final = 16.0
+"""Readings over which it is the mean, with exponential weights: those of a round of the ring."""
 
 
 def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
@@ -589,6 +607,12 @@ def record_used(used: Used, sonar: int, turret_offset_rad: float, count: int) ->
     first[COUNT] = float(count)
 
 
+def count_outlier(used: Used, outlier_probability: float) -> None:
+    """Take note of a range that was an outlier with this probability."""
+    so_far = used[-1]
+    so_far[OUTLIERS] += (outlier_probability - so_far[OUTLIERS]) / OUTLIER_MEMORY
+
+
 class CorrelatedReadings:
     """Count the used readings of each sonar from the pose where the robot stands, by odometry alone.
 
@@ -612,6 +636,15 @@ class CorrelatedReadings:
         """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
         return count_used(self.used, sonar, turret_offset_rad)
 
+    @property
+    def outlier_fraction(self) -> float:
+        """The recent fraction of outliers among ranges."""
+        return float(self.used[-1][OUTLIERS])
+
+    def count_outlier(self, outlier_probability: float) -> None:
+        """Take note of a range that was an outlier with this probability."""
+        count_outlier(self.used, outlier_probability)
+
     def record(self, sonar: int, turret_offset_rad: float) -> None:
         """Count one more reading as used."""
         record_used(self.used, sonar, turret_offset_rad, self.count(sonar, turret_offset_rad) + 1)
@@ -630,7 +663,14 @@ class MeasurementUpdate:
         self.odometric = model if isinstance(model, OdometricModel) else None
 
     def apply(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
+        self,
+        x: State,
+        P: Covariance,
+        sonar: int,
+        turret_offset_rad: float,
+        reading_in: float,
+        count: int = 1,
+        outlier_fraction: float = 1.0,
     ) -> UpdateResult:
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
@@ -642,15 +682,18 @@ class MeasurementUpdate:
             Angle of the turret against the heading.
         reading_in
             Inches, its calibration offset subtracted.
+        outlier_fraction
+            Of the last readings (`pda_update`).
         """
         direct = self.direct
         if direct:
             mount = mount_at(direct.mounts, sonar, turret_offset_rad)
-            return result_of(direct.update(x, P, mount, reading_in, direct, count))
+            return result_of(direct.update(x, P, mount, reading_in, direct, count, outlier_fraction))
         association = self._model.associate(x, P, sonar, turret_offset_rad, reading_in)
         if association.refusal is not Refusal.NONE:
             return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
-        return result_of(update_by_association(x, P, reading_in, association, self._rule, count))
+        outcome = update_by_association(x, P, reading_in, association, self._rule, count, outlier_fraction)
+        return result_of(outcome)
 
     def updated(
         self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
@@ -662,11 +705,19 @@ class MeasurementUpdate:
 
 
 def update_by_association(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int
+    x: State,
+    P: Covariance,
+    reading_in: float,
+    association: Association,
+    rule: Rule,
+    count: int,
+    outlier_fraction: float = 1.0,
 ) -> Outcome:
     """Correct x and P by a reading and its hypotheses, in place."""
     c, s = unit_vector(x[HEADING])
-    beta, likelihood, innovation_in, nis, best = pda_update(x, P, reading_in, association, rule, count)
+    beta, likelihood, innovation_in, nis, best = pda_update(
+        x, P, reading_in, association, rule, count, outlier_fraction
+    )
     outlier, share = beta[-1], association.gate_outliers
     likelihood = (1.0 - share) * likelihood + share / association.range_span_in
     slope = forward_slope(association.H[best], c, s) if best >= 0 else 0.0

@@ -126,3 +126,23 @@ def test_a_repeated_reading_is_associated_like_the_first() -> None:
     (first, first_result), (fifth, fifth_result) = (updated(BELIEF, 41.5, TWO, count) for count in (1, 5))
     assert fifth_result == first_result
     assert abs(fifth.mean[0]) < abs(first.mean[0])
+
+
+@pytest.mark.parametrize("reading", [42.0, 44.5, 45.5])
+def test_probable_outliers_do_not_correct_while_most_fit(reading: float) -> None:
+    near = Belief(BELIEF.mean, 0.1 * BELIEF.cov)
+    (x, P), one = unpack(near), returns((40.0, (-1.0, 0.0, 0.5), 0.9))
+    full, plain = updated(near, reading, one)
+    held = pda_update(x, P, reading, one, outlier_fraction=0.5)
+    # The association is the same; the state is corrected by readings that are more probably echoes only.
+    assert held == plain
+    is_outlier = held.beta[-1] > 0.5
+    assert is_outlier == (reading > 42.0)
+    expected = near if is_outlier else full
+    np.testing.assert_array_equal(pack(x, P).mean, expected.mean)
+    np.testing.assert_array_equal(pack(x, P).cov, expected.cov)
+    # Where most do not fit, the belief may be wrong, and they correct.
+    x, P = unpack(near)
+    pda_update(x, P, reading, one, outlier_fraction=0.6)
+    np.testing.assert_array_equal(pack(x, P).cov, full.cov)
+    assert not np.array_equal(full.cov, near.cov)
