@@ -5,8 +5,11 @@ A trial drives a robot along waypoints of a world, as a person would who sees th
 
     found     a wall of the world, of which half of the visible length has a learned wall within 1 in and 2 degrees
     false     a learned wall, of which less than half is within 1 in of a wall of the world
-    offset    distance between both at the middle of the learned one, after the best rigid fit of the path (no scale)
-    path      root mean square distance of the path from the true one, after the same fit
+    offset    distance between both at the middle of the learned one, after the best rigid fit of the walls (no scale)
+    path      root mean square distance of the path from the true one, after the best rigid fit of the path
+
+The frame of a map is free, and so is the path in it: while the turret keeps its direction, a shift of the path is the
+same as offsets of the sonars by the cosine of their angles.
 """
 
 from __future__ import annotations
@@ -94,6 +97,9 @@ EXPLORE_IN_S, EXPLORE_RAD_S = 6.0, 0.6
 RADIUS_IN: Final = 2.0
 MAX_BEARING_RAD: Final = 0.5
 FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
+FIT_STEPS: Final = 5
+FIT_IN, FIT_RAD = 3.0, radians(10.0)
+"""A learned wall is fitted to a true one this near to it."""
 SAMPLE_IN: Final = 1.0
 MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
 CLOSED_IN: Final = 2.0
@@ -322,6 +328,41 @@ def closing_error(path: Floats, targets: Floats) -> float:
     return float(np.hypot(*(ends[0] - ends[1])))
 
 
+def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) that bring learned walls nearest to true ones, across these.
+
+    Parameters
+    ----------
+    ends
+        (n, 2, 2) ends of the learned walls.
+    walls
+        (m, 4) true walls.
+    turn, shift
+        Where to begin: the fit of the path.
+    """
+    for _ in range(FIT_STEPS):
+        # 1. The true wall at each learned one, if there is one.
+        placed = rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
+        rows, targets, sizes = [], [], []
+        for learned in placed.reshape(-1, 2, 2):
+            turned = np.array([_turn_between(wall, learned) for wall in walls])
+            away = np.where(turned < FIT_RAD, nearest_points(learned.mean(axis=0)[None], walls)[1][0], np.inf)
+            if away.min() < FIT_IN:
+                wall = walls[away.argmin()]
+                normal = np.array((wall[1] - wall[3], wall[2] - wall[0])) / lengths(wall)
+                # 2. Distances of both ends from its line, and their derivatives by the turn and the shift.
+                for end in learned:
+                    rows.append((normal[1] * (end - shift)[0] - normal[0] * (end - shift)[1], *normal))
+                    targets.append(normal @ (wall[:2] - end))
+                    sizes.append(float(np.hypot(*(learned[1] - learned[0]))) ** 0.5)
+        weights = np.array(sizes)
+        # Walls in one direction alone leave the shift along it free: it stays.
+        jacobian = np.array(rows).reshape(-1, 3) * weights[:, None]
+        change = np.linalg.lstsq(jacobian, np.array(targets) * weights, rcond=1e-3)[0]
+        turn, shift = turn + float(change[0]), shift + change[1:]
+    return turn, shift
+
+
 def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
     """Return points (k, 2) on each wall, SAMPLE_IN apart, that are in sight from some position of a path (n, 2)."""
     found = []
@@ -344,7 +385,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     walls = load_world(trial.world).walls
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
-    turn, shift = rigid_fit(found.path[:, :2], true_path)
+    turn, shift = _fit_of(found, walls, true_path)
     ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
     covered, missing, near_samples = 0, [], 0
@@ -389,6 +430,12 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         "ends_in": corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
         "odometry_in": fit_error(odometry, true_path),
     }  # fmt: skip
+
+
+def _fit_of(found: LearnedMap, walls: Floats, true_path: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) of a learned map into the frame of the world."""
+    turn, shift = rigid_fit(found.path[:, :2], true_path)
+    return map_fit(np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2), walls, turn, shift)
 
 
 def _turn_between(wall: Floats, learned: Floats) -> float:
@@ -451,7 +498,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
     true_path = driven.truth_at(trajectory.instants_s)
     closing = (closing_error(found.path, true_path), closing_error(trajectory.odometry, true_path))
-    turn, shift = rigid_fit(found.path[:, :2], true_path[:, :2])
+    turn, shift = _fit_of(found, load_world(trial.world).walls, true_path[:, :2])
     own = true = math.nan
     if fresh is not None:
         if found.walls:

@@ -193,17 +193,20 @@ class Span:
     stopped
         Number of readings of sonars that were directed between the points, nearer to neither than half of a cone. All
         of them end before the line or at things that no reflector explains: no sound has passed.
+    gap_in
+        Widest part of the span at which none of them was directed, inches.
     """
 
     one: int
     other: int
     ends: Floats
     stopped: int
+    gap_in: float = 0.0
 
     @property
     def is_wall(self) -> bool:
-        """True if sound should have passed, so that there is a wall."""
-        return self.stopped >= MIN_STOPPED
+        """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
+        return self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
 
 
 def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
@@ -244,8 +247,9 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
         # What ends well before is measured off something else.
         directed &= sensors.range_in > np.abs(reach * cosine) - 1.0
         rows = np.flatnonzero(directed)
-        stopped = len(rows) - int(is_blocked(sensors.face[rows], at[rows], segments).sum())
-        found.append(Span(int(ones[number]), int(others[number]), ends[number], stopped))
+        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments)]
+        gap = float(np.diff(np.sort([0.0, 1.0, *fraction[rows]])).max()) * lengths[ones[number], others[number]]
+        found.append(Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap))
     return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
 
 

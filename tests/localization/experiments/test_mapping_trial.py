@@ -16,6 +16,7 @@ from localization.experiments.mapping import (
     closing_error,
     disturbed,
     fit_error,
+    map_fit,
     read_scores,
     score,
     table,
@@ -67,6 +68,19 @@ def test_closing_error_is_that_of_the_last_position_from_the_first_pose() -> Non
     assert closing_error(turned, path) == pytest.approx(0.5, rel=1e-3)
 
 
+def test_walls_are_compared_after_their_own_fit() -> None:
+    # The path is off, the walls are not.
+    room = load_world("several_walls").walls
+    turn, shift = 0.03, np.array((1.2, -0.7))
+    ends = rotate(room.reshape(-1, 2) - shift, np.full(2 * len(room), -turn)).reshape(-1, 2, 2)
+    found_turn, found_shift = map_fit(ends, room, 0.0, np.zeros(2))
+    assert found_turn == pytest.approx(turn)
+    np.testing.assert_allclose(found_shift, shift, atol=1e-6)
+    # Parallel walls alone do not determine the shift along them.
+    found_turn, found_shift = map_fit(ends[[0, 2]], room[[0, 2]], turn, np.array((9.0, shift[1])))
+    np.testing.assert_allclose(found_shift, (9.0, shift[1]), atol=0.3)
+
+
 def test_true_map_has_no_errors() -> None:
     found = scored(load_world("thesis_room").walls)
     assert (found["walls"], found["found"], found["false"], found["missing"]) == (4, 4, 0, [])
@@ -81,7 +95,8 @@ def test_missing_false_and_shifted_walls_are_counted() -> None:
     walls[1] = (40.0, 20.0, 40.0, 80.0)
     found = scored(walls)
     assert (found["found"], found["false"], len(np.array(found["missing"]))) == (3, 1, 1)
-    np.testing.assert_allclose(sorted(np.array(found["offsets_in"])), (0.0, 0.0, 0.4), atol=1e-9)
+    # Of two opposite walls one is off by 0.4 in: each by half of it.
+    np.testing.assert_allclose(sorted(np.array(found["offsets_in"])), (0.0, 0.2, 0.2), atol=1e-9)
 
 
 def test_walls_behind_others_are_not_visible() -> None:

@@ -85,11 +85,22 @@ def test_span_belongs_to_the_line_nearest_to_it(opened: MapEstimate) -> None:
     assert len(extract_walls(opened)) == before
 
 
+def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    (span,) = (span for span in uncrossed_spans(opened, free_paths(opened)) if {span.one, span.other} == {4, 5})
+    # Between the outermost sonars and the ends, and between neighbours, less than a robot needs.
+    assert 4.0 <= span.gap_in <= walls.MAX_GAP_IN
+    monkeypatch.setattr(walls, "MAX_GAP_IN", 0.9 * span.gap_in)
+    assert not span.is_wall
+
+
 def test_span_that_too_few_sonars_were_directed_at_is_visited(
     opened: MapEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert _span_places(opened) == []
+    def visited() -> set[tuple[str, int, int]]:
+        return {(place.kind, round(place.x_in), round(place.y_in)) for place in _span_places(opened)}
+
+    before_both_sides = {("span", 30, -43), ("span", 30, -7)}
+    assert not before_both_sides & visited()
     monkeypatch.setattr(walls, "MIN_STOPPED", 1000)
-    places = sorted((place.kind, round(place.x_in), round(place.y_in)) for place in _span_places(opened))
-    assert len(places) == 6
-    assert {("span", 30, -43), ("span", 30, -7)} <= set(places)
+    assert len(visited()) == 6
+    assert before_both_sides <= visited()
