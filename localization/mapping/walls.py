@@ -28,6 +28,7 @@ from localization.mapping.association import (
     residual_matrix,
     segments_of,
 )
+from localization.mapping.measurements import Indices
 from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 
 MAX_GAP_IN: Final = 20.0
@@ -50,6 +51,8 @@ MIN_SPAN_IN, MAX_SPAN_IN = 8.0, 60.0
 """Lengths of walls that are looked for between two points."""
 MIN_STOPPED: Final = 4
 """Sonars that were directed between two points, not one of which has measured anything behind."""
+MAX_SILENT_IN: Final = 30.0
+"""A longer wall is measured itself by a robot that passes: it is none by what is not measured behind it alone."""
 SPAN_SIGHT_IN: Final = 80.0
 SPAN_INCIDENCE_COS: Final = 0.35
 """From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
@@ -195,6 +198,8 @@ class Span:
         of them end before the line or at things that no reflector explains: no sound has passed.
     gap_in
         Widest part of the span at which none of them was directed, inches.
+    closes_outline
+        Whether three walls lead from one point to the other: it is the fourth side of a box.
     """
 
     one: int
@@ -202,11 +207,14 @@ class Span:
     ends: Floats
     stopped: int
     gap_in: float = 0.0
+    closes_outline: bool = False
 
     @property
     def is_wall(self) -> bool:
         """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
-        return self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
+        is_silent = self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
+        is_short = float(np.hypot(*(self.ends[2:] - self.ends[:2]))) <= MAX_SILENT_IN
+        return is_short and (is_silent or self.closes_outline)
 
 
 def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
@@ -225,6 +233,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     along = (ends[:, 2:] - ends[:, :2]) / lengths[ones, others, None]
     inner = np.concatenate((ends[:, :2] + BLOCKED_IN * along, ends[:, 2:] - BLOCKED_IN * along), axis=1)
     passed = crossings(*paths, inner).sum(axis=0)
+    closes = _closing(estimate, ends, ones, others, passed < MIN_CROSSINGS)
     # 2. Axes that lead between the points: in front of them, past no wall and neither point.
     echoes = estimate.echoes()
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
@@ -249,7 +258,9 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
         rows = np.flatnonzero(directed)
         rows = rows[~is_blocked(sensors.face[rows], at[rows], segments)]
         gap = float(np.diff(np.sort([0.0, 1.0, *fraction[rows]])).max()) * lengths[ones[number], others[number]]
-        found.append(Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap))
+        found.append(
+            Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap, bool(closes[number]))
+        )
     return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
 
 
@@ -274,6 +285,26 @@ def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, F
     faces &= (np.abs(foot - 0.5) < 0.5 - FACING_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
     behind = int((sensors.range_in[faces] > np.abs(away[faces]) + RECESS_IN).sum())
     return behind >= MIN_CROSSINGS and behind > 0.5 * int(faces.sum())
+
+
+def _closing(estimate: MapEstimate, ends: Floats, ones: Indices, others: Indices, is_uncrossed: Mask) -> Mask:
+    """Return True (s,) for spans from point to point (s, 4) that three walls and no fourth one lead around."""
+    walls, count = estimate.state.walls, len(estimate.state.points)
+    # 1. Spans on which a wall was measured.
+    along = np.stack((-np.sin(walls[:, 0]), np.cos(walls[:, 0])), axis=-1)
+    coordinates = np.sort(np.stack((along @ ends[:, :2].T, along @ ends[:, 2:].T)), axis=0)
+    low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
+    common = np.minimum(coordinates[1], high) - np.maximum(coordinates[0], low)
+    is_side = (pass_through(walls, ends, POINT_ON_LINE_IN) & (common > MIN_PIECE_IN)).any(axis=0) & is_uncrossed
+    sides = np.zeros((count, count), dtype=np.bool_)
+    sides[ones[is_side], others[is_side]] = sides[others[is_side], ones[is_side]] = True
+    # 2. One side from either end, and a third one between those.
+    closes = np.zeros(len(ends), dtype=np.bool_)
+    for number in np.flatnonzero(is_uncrossed & ~is_side):
+        one, other = ones[number], others[number]
+        first, last = np.flatnonzero(sides[one]), np.flatnonzero(sides[other])
+        closes[number] = sides[np.ix_(first, last)].any()
+    return closes
 
 
 def pass_through(walls: Floats, segments: Floats, within_in: float) -> Mask:

@@ -14,12 +14,12 @@ from localization.mapping.walls import extract_walls, free_paths, pass_through, 
 
 @pytest.fixture
 def opened(estimate: MapEstimate) -> MapEstimate:
-    """The map of the room without its wall at y = -25, of which two points 40 in apart are known."""
+    """The map of the room without its wall at y = -25, of which two points 26 in apart are known."""
     found = estimate.copy()
     south = int(np.argmax(np.abs(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0))[:, 0]))
     found.remove(south)
     found.add_point(np.array((10.0, -25.0)))
-    found.add_point(np.array((50.0, -25.0)))
+    found.add_point(np.array((36.0, -25.0)))
     found.associate()
     return found
 
@@ -29,14 +29,14 @@ def test_points_without_sound_between_them_are_a_wall(opened: MapEstimate) -> No
     # With the corners at both sides; the shortest first.
     assert len(spans) == 3
     (span,) = (span for span in spans if {span.one, span.other} == {4, 5})
-    np.testing.assert_allclose(np.sort(span.ends.reshape(2, 2), axis=0), [(10.0, -25.0), (50.0, -25.0)])
+    np.testing.assert_allclose(np.sort(span.ends.reshape(2, 2), axis=0), [(10.0, -25.0), (36.0, -25.0)])
     assert span.is_wall
     assert join_points(opened) == 1
     assert pass_through(opened.state.walls, span.ends[None], 1.0).any()
     prune(opened)
     (wall,) = (piece for piece in extract_walls(opened) if np.abs(piece.ends[:, 1] + 25.0).max() < 1.0)
     assert wall.ends[:, 0].min() < 11.0
-    assert wall.ends[:, 0].max() > 49.0
+    assert wall.ends[:, 0].max() > 35.0
 
 
 @pytest.mark.parametrize("stops_sound", [True, False])
@@ -46,12 +46,13 @@ def test_wall_that_stops_sound_is_no_point(
     join_points(opened)
     # As if a point were always cheaper.
     monkeypatch.setattr(learn, "SWALLOW_IN", np.inf)
+    monkeypatch.setattr(walls, "MIN_STOPPED", 1)
     monkeypatch.setitem(association.PENALTY, "wall", 1e6)
     monkeypatch.setattr(learn, "_have_ends", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
     if not stops_sound:
         monkeypatch.setattr(learn, "_are_spans", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
     swallow(opened)
-    south = np.array([[10.0, -25.0, 50.0, -25.0]])
+    south = np.array([[10.0, -25.0, 36.0, -25.0]])
     assert pass_through(opened.state.walls, south, 1.0).any() == stops_sound
 
 
@@ -99,8 +100,24 @@ def test_span_that_too_few_sonars_were_directed_at_is_visited(
     def visited() -> set[tuple[str, int, int]]:
         return {(place.kind, round(place.x_in), round(place.y_in)) for place in _span_places(opened)}
 
-    before_both_sides = {("span", 30, -43), ("span", 30, -7)}
+    before_both_sides = {("span", 23, -43), ("span", 23, -7)}
     assert not before_both_sides & visited()
     monkeypatch.setattr(walls, "MIN_STOPPED", 1000)
     assert len(visited()) == 6
     assert before_both_sides <= visited()
+
+
+def test_fourth_side_of_a_box_closes_its_outline(estimate: MapEstimate) -> None:
+    # A box that nothing was measured of, but that three of its sides are walls.
+    found = estimate.copy()
+    for corner in ((20.0, 100.0), (32.0, 100.0), (32.0, 112.0), (20.0, 112.0)):
+        found.add_point(np.array(corner))
+    first = len(found.state.points) - 4
+    for line, extent in (((np.pi / 2.0, 100.0), (-32.0, -20.0)), ((0.0, 32.0), (100.0, 112.0)),
+                         ((np.pi / 2.0, 112.0), (-32.0, -20.0))):  # fmt: skip
+        spans = uncrossed_spans(found, free_paths(found))
+        assert not any(span.closes_outline for span in spans)
+        found.add_wall(np.array(line), np.array(extent))
+    (fourth,) = (span for span in uncrossed_spans(found, free_paths(found)) if span.closes_outline)
+    assert {fourth.one, fourth.other} == {first, first + 3}
+    assert fourth.is_wall
