@@ -218,7 +218,7 @@ class Span:
 
 
 def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
-    """Return the pairs of points between which no path (p, 2) to (p, 2) has passed, the shortest first.
+    """Return the pairs of points between which no path (p, 2) to (p, 2) has passed, the shortest first; no diagonals.
 
     A wall that is seen from its ends, or too short to be told from a point, shows by what is not measured behind it.
     """
@@ -233,13 +233,14 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     along = (ends[:, 2:] - ends[:, :2]) / lengths[ones, others, None]
     inner = np.concatenate((ends[:, :2] + BLOCKED_IN * along, ends[:, 2:] - BLOCKED_IN * along), axis=1)
     passed = crossings(*paths, inner).sum(axis=0)
-    closes = _closing(estimate, ends, ones, others, passed < MIN_CROSSINGS)
+    is_uncrossed = (passed < MIN_CROSSINGS) & ~_are_diagonals(ends, ones, others, passed < MIN_CROSSINGS, lengths)
+    closes = _closing(estimate, ends, ones, others, is_uncrossed)
     # 2. Axes that lead between the points: in front of them, past no wall and neither point.
     echoes = estimate.echoes()
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
     axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
     segments = segments_of(state.walls, estimate.extents, BLOCKED_IN)
-    for number in np.flatnonzero(passed < MIN_CROSSINGS):
+    for number in np.flatnonzero(is_uncrossed):
         normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
         cosine = axis @ normal
         if _is_recessed(sensors, cosine, (first, normal, along[number], float(lengths[ones[number], others[number]]))):
@@ -285,6 +286,24 @@ def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, F
     faces &= (np.abs(foot - 0.5) < 0.5 - FACING_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
     behind = int((sensors.range_in[faces] > np.abs(away[faces]) + RECESS_IN).sum())
     return behind >= MIN_CROSSINGS and behind > 0.5 * int(faces.sum())
+
+
+def _are_diagonals(ends: Floats, ones: Indices, others: Indices, is_uncrossed: Mask, lengths: Floats) -> Mask:
+    """Return True (s,) for spans that cross another one inside a box: no path has passed its four sides either."""
+    # 1. Sides: uncrossed spans, and those too short for one.
+    sides = lengths <= MIN_SPAN_IN
+    sides[ones[is_uncrossed], others[is_uncrossed]] = sides[others[is_uncrossed], ones[is_uncrossed]] = True
+    # 2. Spans that cross, at no common end.
+    candidates = np.flatnonzero(is_uncrossed)
+    apart = 1e-6 * (ends[candidates, 2:] - ends[candidates, :2])
+    inner = np.concatenate((ends[candidates, :2] + apart, ends[candidates, 2:] - apart), axis=1)
+    first, second = np.nonzero(crossings(inner[:, :2], inner[:, 2:], inner))
+    one, other = candidates[first], candidates[second]
+    around = sides[ones[one], ones[other]] & sides[ones[one], others[other]]
+    around &= sides[others[one], ones[other]] & sides[others[one], others[other]]
+    found = np.zeros(len(ends), dtype=np.bool_)
+    found[one[around]] = True
+    return found
 
 
 def _closing(estimate: MapEstimate, ends: Floats, ones: Indices, others: Indices, is_uncrossed: Mask) -> Mask:

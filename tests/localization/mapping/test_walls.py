@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from localization.filters.belief import Floats
 from localization.mapping import association, learn, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
@@ -105,6 +106,25 @@ def test_span_that_too_few_sonars_were_directed_at_is_visited(
     monkeypatch.setattr(walls, "MIN_STOPPED", 1000)
     assert len(visited()) == 6
     assert before_both_sides <= visited()
+
+
+def test_diagonals_of_a_box_are_no_walls(estimate: MapEstimate) -> None:
+    found, first = estimate.copy(), len(estimate.state.points)
+    corners = [(20.0, 100.0), (32.0, 100.0), (32.0, 112.0), (20.0, 112.0)]
+    for corner in corners[:3]:
+        found.add_point(np.array(corner))
+
+    def lengths(paths: tuple[Floats, Floats]) -> list[int]:
+        spans = [span for span in uncrossed_spans(found, paths) if min(span.one, span.other) >= first]
+        return [round(float(np.hypot(*(span.ends[2:] - span.ends[:2])))) for span in spans]
+
+    # Without its fourth corner nothing tells a diagonal from a side.
+    assert lengths(free_paths(found)) == [12, 12, 17]
+    found.add_point(np.array(corners[3]))
+    assert lengths(free_paths(found)) == [12] * 4
+    # Sound has passed one side: no box, and what crosses may be a wall.
+    across = np.array(((26.0, 90.0), (27.0, 90.0))), np.array(((26.0, 101.0), (27.0, 101.0)))
+    assert lengths(across) == [12, 12, 12, 17, 17]
 
 
 def test_fourth_side_of_a_box_closes_its_outline(estimate: MapEstimate) -> None:
