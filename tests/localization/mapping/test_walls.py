@@ -63,7 +63,7 @@ def test_points_with_sound_between_them_are_none(estimate: MapEstimate, opened: 
     found.add_point(np.array((50.0, 25.0)))
     assert uncrossed_spans(found, free_paths(found)) == []
     # Two paths decide it; a single one may be a mistaken echo.
-    across = np.array(((30.0, 0.0), (40.0, 0.0), (41.0, 0.0))), np.array(((30.0, -50.0), (40.0, -50.0), (41.0, -10.0)))
+    across = np.array(((20.0, 0.0), (30.0, 0.0), (31.0, 0.0))), np.array(((20.0, -50.0), (30.0, -50.0), (31.0, -10.0)))
     assert {4, 5} not in [{span.one, span.other} for span in uncrossed_spans(opened, across)]
     single = (across[0][1:], across[1][1:])
     assert {4, 5} in [{span.one, span.other} for span in uncrossed_spans(opened, single)]
