@@ -34,7 +34,7 @@ from localization.filters.belief import (
     wrap_angle,
 )
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen
+from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen_by_lag
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
 from localization.filters.sonar_ray import RaySonar, RingBody, range_variance
 from localization.filters.update import (
@@ -213,7 +213,7 @@ class CalibratingFilter:
         """Return the belief after such a step, without taking it, widened by a lag."""
         x, P = self._x.copy(), [row.copy() for row in self._P]
         predict_state(x, P, distance_in, turn_rad, self._odometry, SIZE - MAX_STATE)
-        widen(x, P, lag)
+        widen_by_lag(x, P, lag)
         return pack(x, P)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:

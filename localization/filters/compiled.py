@@ -241,7 +241,7 @@ def _compile_prediction(widen: Callable[..., None]) -> Callable[..., tuple[Float
 
 
 class CompiledRing:
-    """`ekf.filter_ring` and `ekf.widen_prediction` in machine code, for one model and odometry."""
+    """`ekf.filter_ring` and `odometry.widen_prediction` in machine code, for one model and odometry."""
 
     def __init__(
         self,
@@ -289,7 +289,7 @@ class CompiledRing:
         self, x: Any, P: Any, size: int, distance: float, turn: float, nis_ratio: float, lag: Lag, scale: float,
         middle: tuple[float, float], slipped_in2: float,
     ) -> tuple[Floats, Floats]:  # fmt: skip
-        """Return the first `size` coordinates of x and P, predicted and widened: see `ekf.widen_prediction`."""
+        """Return the first `size` coordinates of x and P, predicted and widened: see `odometry.widen_prediction`."""
         return self._predict(x, P, size, distance, turn, self._noise, nis_ratio, lag, scale, middle, slipped_in2)
 
 

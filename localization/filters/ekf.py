@@ -24,29 +24,20 @@ import numpy as np
 
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, NewEcho, process_each
-from localization.filters.belief import (
-    HEADING,
-    Belief,
-    Floats,
-    add_outer,
-    marginal,
-    pack,
-    unit_vector,
-    unpack,
-    with_constants,
-    wrap_angle,
-)
+from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, SlipSums, add_slip_evidence
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
     OdometryNoise,
+    Prediction,
     pose_at,
     predict_state,
-    process_variance,
     relative_step,
     true_step,
-    widen,
+    widen_by_rolling,
+    widen_by_slip,
+    widen_prediction,
 )
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
@@ -73,24 +64,72 @@ from localization.filters.update import (
     record_used,
 )
 
-SLIP_GAIN: Final = 0.5
-"""Standard deviation along the heading after a slip of the wheels, as a fraction of the displacement."""
-SIDE_SLIP_IN: Final = 0.3
-"""Standard deviation across the heading after a slip, inches."""
-SLIP_RAD: Final = 0.02
-"""Standard deviation of the heading after a slip, radians."""
-
-PRESSED_NOISE: Final = 5.0
-"""Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
-noise, and all readings from there repeat their errors."""
-
 READING, REFUSAL = 2, 0
 """Elements of a `NewEcho`, and of an `Outcome`."""
 NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
-Prediction = Callable[[State, Covariance, float, float, OdometryNoise, int], None]
-"""Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
+
+def filter_ring(
+    x: State,
+    P: Covariance,
+    used: Used,
+    slip_sums: SlipSums,
+    encoders: EncoderRow,
+    poses: Sequence[EncoderRow],
+    echoes: Sequence[NewEcho],
+    noise: OdometryNoise,
+    model: DirectModel,
+    correct: Callable[..., Outcome],
+) -> list[Outcome]:
+    """Filter x, P by all echoes of a ring in order of time, in place; return the outcome of each.
+
+    This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists; `compiled` compiles it
+    with all that it calls.
+
+    Parameters
+    ----------
+    x, P
+        State and covariance at the pose `encoders` (`belief.unpack`).
+    used
+        Of `CorrelatedReadings`.
+    slip_sums
+        Of `health.SlipTest`; without rows, slips are not looked for.
+    encoders, poses, echoes
+        As in `base.process_each`.
+    correct
+        The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
+    """
+    outcomes = []
+    _, x_in, y_in, heading, _ = encoders
+    for echo in echoes:
+        # By index: numba cannot unpack a row of an array.
+        instant_s, sonar, reading_in = echo[0], int(echo[1]), echo[2]
+        # 1. u, the step of the encoders to their pose at the instant of the echo.
+        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
+        distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
+        x_in, y_in, heading = to_x, to_y, to_heading
+        # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
+        predict_state(x, P, distance, turn, noise, model.range_parameters)
+        move_on(used, distance, turn)
+        # 3. to 7. The update by the model, in place. For a ray (sonar_ray.update_by_ray):
+        #        innovation = z - h(x-)
+        #        S = H P- H^T + R,  K = P- H^T / S        R of the `count`-th reading of this sonar from here
+        #        unless innovation^2 / S > threshold:
+        #            x = x- + K innovation,  P = P- - K S K^T
+        turret_offset = turret - to_heading
+        mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
+        outcome = correct(x, P, mount, reading_in, model, count, used[-1][OUTLIERS])
+        refusal, innovation, nis, outlier_probability, _, slope = outcome
+        if refusal == NONE:
+            record_used(used, sonar, turret_offset, count)
+        # 8. Evidence of a slip of the wheels.
+        if refusal in (NONE, GATE):
+            count_outlier(used, outlier_probability)
+            if len(slip_sums) > 0:
+                add_slip_evidence(slip_sums, innovation, nis, slope)
+        outcomes.append(outcome)
+    return outcomes
 
 
 class KalmanFilter:
@@ -273,11 +312,7 @@ class KalmanFilter:
 
     def roll_on_spot(self, distance_in: float) -> None:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
-        q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance_in), 0.0, self._odometry)
-        c, s = unit_vector(self._x[HEADING])
-        # P <- P + G Q G^T of a step without length: along the heading, and of it.
-        add_outer(self._P, q_distance, (c, s, 0.0))
-        add_outer(self._P, q_turn, (0.0, 0.0, 1.0))
+        widen_by_rolling(self._x, self._P, distance_in, self._odometry)
 
     @property
     def _slip_sums(self) -> SlipSums:
@@ -289,117 +324,7 @@ class KalmanFilter:
         """Widen the covariance by a slip of the wheels if the last readings agree on one."""
         slip_in = self._monitor.take_slip()
         if slip_in is not None:
-            std = SLIP_GAIN * abs(slip_in)
-            c, s = unit_vector(self._x[HEADING])
-            # Along the heading, across it, and of it.
-            add_outer(self._P, 1.0, (std * c, std * s, 0.0))
-            add_outer(self._P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
-            add_outer(self._P, 1.0, (0.0, 0.0, SLIP_RAD))
-
-
-def filter_ring(
-    x: State,
-    P: Covariance,
-    used: Used,
-    slip_sums: SlipSums,
-    encoders: EncoderRow,
-    poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho],
-    noise: OdometryNoise,
-    model: DirectModel,
-    correct: Callable[..., Outcome],
-) -> list[Outcome]:
-    """Filter x, P by all echoes of a ring in order of time, in place; return the outcome of each.
-
-    This is the loop of the extended Kalman filter; `compiled` compiles it with all that it calls.
-
-    Parameters
-    ----------
-    x, P
-        State and covariance at the pose `encoders` (`belief.unpack`).
-    used
-        Of `CorrelatedReadings`.
-    slip_sums
-        Of `health.SlipTest`; without rows, slips are not looked for.
-    encoders, poses, echoes
-        As in `base.process_each`.
-    correct
-        The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
-    """
-    outcomes = []
-    _, x_in, y_in, heading, _ = encoders
-    for echo in echoes:
-        # By index: numba cannot unpack a row of an array.
-        instant_s, sonar, reading_in = echo[0], int(echo[1]), echo[2]
-        # 1. u, the step of the encoders to their pose at the instant of the echo.
-        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-        distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
-        x_in, y_in, heading = to_x, to_y, to_heading
-        # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
-        predict_state(x, P, distance, turn, noise, model.range_parameters)
-        move_on(used, distance, turn)
-        # 3. to 7. S = H P- H^T + R, K = P- H^T / S, x = x- + K (z - h(x-)), P = P- - K S K^T, unless the model refuses
-        #    z, the `count`-th reading of this sonar that is used from here.
-        turret_offset = turret - to_heading
-        mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
-        outcome = correct(x, P, mount, reading_in, model, count, used[-1][OUTLIERS])
-        refusal, innovation, nis, outlier_probability, _, slope = outcome
-        if refusal == NONE:
-            record_used(used, sonar, turret_offset, count)
-        # 8. Evidence of a slip of the wheels.
-        if refusal in (NONE, GATE):
-            count_outlier(used, outlier_probability)
-            if len(slip_sums) > 0:
-                add_slip_evidence(slip_sums, innovation, nis, slope)
-        outcomes.append(outcome)
-    return outcomes
-
-
-def widen_prediction(
-    x: State,
-    P: Covariance,
-    distance: float,
-    turn: float,
-    noise: OdometryNoise,
-    nis_ratio: float,
-    lag: Lag,
-    scale: float,
-    middle: tuple[float, float],
-    slipped_in2: float,
-    prediction: Callable[..., None],
-) -> None:
-    """Predict x, P after a step, in place, and widen P by what the filter leaves out of it.
-
-    Parameters
-    ----------
-    nis_ratio
-        Innovations larger than their S explains: P is multiplied by their mean NIS.
-    lag
-        Instants of echoes and of states that are not known exactly.
-    scale, middle
-        The scale of the map: readings that are all too long by a fraction s are of colder air, or of a map that is
-        too small by s. No reading tells one from the other. The map puts the robot s times its distance from the
-        middle off.
-    slipped_in2
-        A slip of the wheels: mean square of the displacement, by its probability.
-    """
-    # 1. P <- NIS P, before the step.
-    if nis_ratio != 1.0:
-        for row in P:
-            for j in range(len(row)):
-                row[j] = nis_ratio * row[j]
-    # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
-    prediction(x, P, distance, turn, noise, 0)
-    # 3. The lag: along the heading, and of it.
-    if lag[0] != 0.0 or lag[1] != 0.0:
-        widen(x, P, lag)
-    # 4. The scale: away from the middle.
-    if scale != 0.0:
-        add_outer(P, 1.0, (scale * (x[0] - middle[0]), scale * (x[1] - middle[1]), 0.0))
-    # 5. The slip: along the heading.
-    if slipped_in2 != 0.0:
-        c, s = unit_vector(x[HEADING])
-        add_outer(P, slipped_in2, (c, s, 0.0))
+            widen_by_slip(self._x, self._P, slip_in)
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:

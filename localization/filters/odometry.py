@@ -1,4 +1,4 @@
-"""The odometry motion model, and the prediction step of the Kalman filter.
+"""The odometry motion model, the prediction step of the Kalman filter, and what widens a prediction.
 
     u    (distance_in, turn_rad)      the step that the encoders report: inches rolled, radians turned
     x-   = f(x, u)                    straight along the heading half-way through the turn
@@ -16,7 +16,7 @@ A filter may append states that no step changes or depends on, `constants` of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
@@ -51,6 +51,17 @@ class OdometryParameter(IntEnum):
 MAX_STATE: Final = POSE + len(OdometryParameter)
 """Coordinates of a pose with all odometry parameters."""
 
+SLIP_GAIN: Final = 0.5
+"""Standard deviation along the heading after a slip of the wheels, as a fraction of the displacement."""
+SIDE_SLIP_IN: Final = 0.3
+"""Standard deviation across the heading after a slip, inches."""
+SLIP_RAD: Final = 0.02
+"""Standard deviation of the heading after a slip, radians."""
+
+PRESSED_NOISE: Final = 5.0
+"""Variance of wheels that roll on the spot, relative to those that roll freely: the robot creeps and turns by the same
+noise, and all readings from there repeat their errors."""
+
 _SCALE, _TURN_SCALE, _DRIFT = (int(parameter) for parameter in OdometryParameter)
 
 
@@ -58,7 +69,7 @@ _SCALE, _TURN_SCALE, _DRIFT = (int(parameter) for parameter in OdometryParameter
 class OdometryNoise:
     """Variance of a true step about the reported one: a random walk, so variances grow with the distance.
 
-    The simulation's `MotionNoise` (nserver_emu/simulation/noise.py) has the same terms: translation_std^2 is its
+    The simulation's `MotionNoise` (nserver_emu/simulation/odometry.py) has the same terms: translation_std^2 is its
     alpha3, rotation_std^2 its alpha1, drift_std^2 its alpha2; its alpha4 is not modelled.
 
     Attributes
@@ -74,6 +85,10 @@ class OdometryNoise:
     translation_std: float = 0.1
     rotation_std: float = 0.1
     drift_std: float = 0.005
+
+
+Prediction = Callable[[list[float], list[list[float]], float, float, OdometryNoise, int], None]
+"""Predicts x and P after a step (distance, turn), in place; the last argument is the number of constants."""
 
 
 def process_variance(distance: Number, turn: Number, noise: OdometryNoise) -> tuple[Number, Number]:
@@ -313,14 +328,83 @@ def add_lag(belief: Belief, lag: Lag) -> Belief:
     if lag == NO_LAG:
         return belief
     x, P = unpack(belief)
-    widen(x, P, lag)
+    widen_by_lag(x, P, lag)
     return pack(x, P)
 
 
-def widen(x: list[float], P: list[list[float]], lag: Lag) -> None:
+# What P leaves out, and how much wider it is then.
+
+
+def widen_by_lag(x: list[float], P: list[list[float]], lag: Lag) -> None:
     """Add the variance of a lag to P, in place."""
     c, s = unit_vector(x[HEADING])
     add_outer(P, 1.0, (lag[0] * c, lag[0] * s, lag[1]))
+
+
+def widen_by_rolling(x: list[float], P: list[list[float]], distance: float, noise: OdometryNoise) -> None:
+    """Add the noise of wheels that roll so far on the spot, while something holds the robot, to P, in place."""
+    q_distance, q_turn = process_variance(PRESSED_NOISE * abs(distance), 0.0, noise)
+    c, s = unit_vector(x[HEADING])
+    # P <- P + G Q G^T of a step without length: along the heading, and of it.
+    add_outer(P, q_distance, (c, s, 0.0))
+    add_outer(P, q_turn, (0.0, 0.0, 1.0))
+
+
+def widen_by_slip(x: list[float], P: list[list[float]], slip_in: float) -> None:
+    """Add the variance of a displacement along the heading that readings suggest to P, in place."""
+    std = SLIP_GAIN * abs(slip_in)
+    c, s = unit_vector(x[HEADING])
+    # Along the heading, across it, and of it.
+    add_outer(P, 1.0, (std * c, std * s, 0.0))
+    add_outer(P, 1.0, (-SIDE_SLIP_IN * s, SIDE_SLIP_IN * c, 0.0))
+    add_outer(P, 1.0, (0.0, 0.0, SLIP_RAD))
+
+
+def widen_prediction(
+    x: list[float],
+    P: list[list[float]],
+    distance: float,
+    turn: float,
+    noise: OdometryNoise,
+    nis_ratio: float,
+    lag: Lag,
+    scale: float,
+    middle: tuple[float, float],
+    slipped_in2: float,
+    prediction: Prediction,
+) -> None:
+    """Predict x, P after a step, in place, and widen P by what the filter leaves out of it.
+
+    Parameters
+    ----------
+    nis_ratio
+        Innovations larger than their S explains: P is multiplied by their mean NIS.
+    lag
+        Instants of echoes and of states that are not known exactly.
+    scale, middle
+        The scale of the map: readings that are all too long by a fraction s are of colder air, or of a map that is
+        too small by s. No reading tells one from the other. The map puts the robot s times its distance from the
+        middle off.
+    slipped_in2
+        A slip of the wheels: mean square of the displacement, by its probability.
+    """
+    # 1. P <- NIS P, before the step.
+    if nis_ratio != 1.0:
+        for row in P:
+            for j in range(len(row)):
+                row[j] = nis_ratio * row[j]
+    # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
+    prediction(x, P, distance, turn, noise, 0)
+    # 3. The lag: along the heading, and of it.
+    if lag[0] != 0.0 or lag[1] != 0.0:
+        widen_by_lag(x, P, lag)
+    # 4. The scale: away from the middle.
+    if scale != 0.0:
+        add_outer(P, 1.0, (scale * (x[0] - middle[0]), scale * (x[1] - middle[1]), 0.0))
+    # 5. The slip: along the heading.
+    if slipped_in2 != 0.0:
+        c, s = unit_vector(x[HEADING])
+        add_outer(P, slipped_in2, (c, s, 0.0))
 
 
 def relative_step(

@@ -21,9 +21,9 @@ import numpy.typing as npt
 
 from localization.filters import compiled
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
-from localization.filters.ekf import filter_ring, widen_prediction
+from localization.filters.ekf import filter_ring
 from localization.filters.health import SlipTest
-from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
+from localization.filters.odometry import OdometryNoise, predict_state, step_between, widen_prediction, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
 from localization.filters.sonar_ray import NOMAD
 from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome

@@ -14,10 +14,10 @@ from localization.filters import ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
-from localization.filters.ekf import KalmanFilter, Prediction
+from localization.filters.ekf import KalmanFilter
 from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import BUILDING, HealthLimits
-from localization.filters.odometry import MAX_STATE, predict_state, with_parameters
+from localization.filters.odometry import MAX_STATE, Prediction, predict_state, with_parameters
 from localization.filters.own import SEPARATOR, make_own
 from localization.filters.particles import (
     ConeLikelihood,

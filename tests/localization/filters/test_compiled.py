@@ -13,9 +13,9 @@ import pytest
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model, process_each
 from localization.filters.belief import Belief, unpack, with_constants
-from localization.filters.ekf import KalmanFilter, filter_ring, widen_prediction
+from localization.filters.ekf import KalmanFilter, filter_ring
 from localization.filters.health import SlipTest
-from localization.filters.odometry import OdometryNoise
+from localization.filters.odometry import OdometryNoise, widen_prediction
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeModel, ConeSonar, update_by_cone
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel, RaySonar, update_by_ray

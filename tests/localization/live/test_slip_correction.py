@@ -7,8 +7,8 @@ import pytest
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.filters.ekf import PRESSED_NOISE, KalmanFilter
-from localization.filters.odometry import process_covariance, step_jacobians
+from localization.filters.ekf import KalmanFilter
+from localization.filters.odometry import PRESSED_NOISE, process_covariance, step_jacobians
 from localization.filters.registry import make
 from localization.live.sensor_input import SensorData, SlipCorrection
 from worlds.io import load_world
