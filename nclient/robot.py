@@ -472,7 +472,8 @@ class Robot:
         """
         # The mask has position bits, 16 infrareds, 16 sonars, bumpers, 7 numbers of motion, laser and compass.
         position = self._backend.wire_state.mask.position
-        rings = [int(number in frozenset(selected)) for selected in (infrareds, sonars) for number in RING]
+        selections = frozenset(infrareds), frozenset(sonars)
+        rings = [int(number in selected) for selected in selections for number in RING]
         mask = Mask((position, *rings, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
         return self._command("ct", *mask.smask)
 
@@ -912,7 +913,7 @@ class Robot:
         # Steps are sent in ms, speeds as ten times the factor.
         number = round(value * _TIME_SCALES.get(verb, 0))
         _, time_ms, speed, paused = self._query("sim_control", _TIME_VERBS[verb], number, at_least=4)
-        return SimulatedTime(time_ms / 1000, speed / 10, bool(paused))
+        return SimulatedTime(unwrap_word(time_ms) / 1000, speed / 10, bool(paused))
 
     # -- exchanges ----------------------------------------------------------------------------------------------------
 

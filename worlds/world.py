@@ -25,6 +25,7 @@ import numpy as np
 from nclient.errors import StartError
 from worlds.geometry import FloatArray, IndexArray, inside, nearest_distances, nearest_points, normals, polygon_segments
 from worlds.raycast import ON_WALL_IN
+from worlds.schema import MAX_COORDINATE_IN
 
 Point = tuple[float, float]
 
@@ -34,6 +35,9 @@ larger world is rejected: a simulated sonar compares each wall with each ray."""
 
 MAX_DOORS, MAX_WALKERS, MAX_ROUTE_POINTS = 200, 50, 200
 """Doors and walkers of a world, and points of a walker's route."""
+
+MAX_OUTLINE_CORNERS: Final = 1_000_000
+"""Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
 
 MARGIN_IN: Final = 0.1
 """Extra distance from walls of the alternative position in an error message, inches."""
@@ -365,3 +369,87 @@ def _equal_items(one: Sequence[object], other: Sequence[object]) -> int:
     """Return the number of first items that are the same objects."""
     shorter = min(len(one), len(other))
     return next(compress(count(), map(operator.is_not, one, other)), shorter)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """The values that a world is built from. Rooms and obstacles are outlines; only inner walls are segments."""
+
+    name: str
+    title: str
+    rooms: tuple[Polygon, ...]
+    inner_walls: tuple[tuple[float, float, float, float], ...]
+    obstacles: tuple[Polygon, ...]
+    starts: tuple[StartPose, ...]
+    paths: tuple[Path, ...]
+    doors: tuple[Door, ...] | None = None
+    walkers: tuple[Walker, ...] | None = None
+    accuracies: dict[int, WallAccuracy] | None = None
+    wall_names: dict[int, str] | None = None
+
+    @classmethod
+    def of(cls, world: World) -> WorldState:
+        """Return the state of a world."""
+        return cls(
+            name=world.name,
+            title=world.title,
+            rooms=world.rooms,
+            inner_walls=tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist()),
+            obstacles=world.obstacles,
+            starts=world.starts,
+            paths=tuple(world.paths.values()),
+            doors=world.doors or None,
+            walkers=world.walkers or None,
+            accuracies=dict(world.accuracies) or None,
+            wall_names=dict(world.wall_names) or None,
+        )
+
+    def world(self) -> World:
+        """Return the world; raise ValueError if a value is impossible."""
+        self._check_sizes()
+        self._check_values()
+        return World(
+            self.name,
+            self.title,
+            self.rooms,
+            np.array(self.inner_walls).reshape(-1, 4),
+            self.obstacles,
+            self.starts,
+            {path.name: path for path in self.paths},
+            accuracies=self.accuracies or {},
+            doors=self.doors or (),
+            walkers=self.walkers or (),
+            wall_names=self.wall_names or {},
+        )
+
+    def _check_sizes(self) -> None:
+        """Raise ValueError if there is too little or too much of something."""
+        outlines = (*self.rooms, *self.obstacles)
+        if not self.starts or not all(len(outline.corners_in) > 2 for outline in outlines):
+            raise ValueError("a world without starts, or an outline with fewer than three corners")
+        corners = sum(len(outline.corners_in) for outline in outlines)
+        walls = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
+        if walls > 2 * MAX_CORNERS or corners > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
+            raise ValueError("too many walls, corners or starts")
+        doors, walkers = self.doors or (), self.walkers or ()
+        route_points = sum(len(walker.points_in) for walker in walkers)
+        if len(doors) > MAX_DOORS or len(walkers) > MAX_WALKERS or route_points > MAX_WALKERS * MAX_ROUTE_POINTS:
+            raise ValueError("too many doors, walkers or points of routes")
+
+    def _check_values(self) -> None:
+        """Raise ValueError if a value is impossible; every comparison is one that fails for nan."""
+        doors, walkers, accuracies = self.doors or (), self.walkers or (), self.accuracies or {}
+        for walker in walkers:
+            if not (len(walker.points_in) > 1 and walker.speed_in_s > 0.0 and walker.radius_in > 0.0):
+                raise ValueError("a walker needs two points, a speed and a radius above 0")
+        rows = range(len(self.inner_walls))
+        if not all(row in rows and min(accuracy) >= 0.0 for row, accuracy in accuracies.items()):
+            raise ValueError("the accuracy of a wall that does not exist, or below 0")
+        if not all(row in rows for row in self.wall_names or {}):
+            raise ValueError("the name of a wall that does not exist")
+        corners = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
+        routes = [point for walker in walkers for point in walker.points_in]
+        door_ends = [end for door in doors for end in door.ends_in]
+        for point in (*corners, *self.inner_walls, *routes, *door_ends):
+            if not all(abs(coordinate) <= MAX_COORDINATE_IN for coordinate in point):
+                raise ValueError(f"a coordinate beyond {MAX_COORDINATE_IN:g} in")

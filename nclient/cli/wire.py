@@ -10,8 +10,8 @@ Results go to stdout. The reason why a frame is invalid goes to stderr, except i
 
 Calls have the names and arguments of the C interface, Nclient.h. Four of them need a word here:
 
-    ct               select what a state reply contains. Its argument is a mask of 44 numbers: 1 to 43 are 1 if that
-                     element of State is sent, 0 if not; number 0 selects position data by its bits, 0 to 31
+    ct               select what a state reply contains, by a mask of 44 numbers: mask[i] is 1 if State[i] is sent,
+                     otherwise 0, for i from 1 to 43; the bits of mask[0], 0 to 31, select position data
     tk               say a text (Nomad 200)
     place_robot      set the pose; the serial line has two commands for it, dp (position) and da (angles)
     special_request  send a packet of any type
@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_verb(verbs, "dump", getdoc(_dump) or "")
     _add_verb(verbs, "dissector", getdoc(_dissector) or "")
     _add_protocol(parser)
-    # Not as defaults of the options: the verb's parser would set them again, over what was given before the verb.
     parser.set_defaults(line="tcp", model="n150")
 
 
@@ -82,6 +81,11 @@ def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParse
 
 
 def _add_protocol(parser: argparse.ArgumentParser) -> None:
+    """Add --line and --model.
+
+    Both may stand before or after the verb, so the parser of `nomad wire` and that of each verb have them. The defaults
+    are set by `add_arguments`, once: the parser of the verb comes last, and must not replace what the first one read.
+    """
     parser.add_argument(
         "--line",
         choices=WIRES,
@@ -140,33 +144,45 @@ def _calls(options: argparse.Namespace) -> Iterator[Call]:
     if command.name == "tk":
         yield Call("tk", (" ".join(options.args),))
         return
-    # 2. Position and angles. With a wrong number of arguments it goes on, and the encoder says how many it takes.
+    # 2. Position and angles, if there are four numbers; if not, the encoder's error says so.
     args = tuple(_number(word) for word in options.args)
     if command.name == "place_robot" and options.line == "serial" and len(args) == 4:
         x, y, steering, turret = args
         yield Call("dp", (x, y))
         yield Call("da", (steering, turret))
         return
-    # 3. All others, with what their frames have besides the arguments of the C call.
-    yield Call(command.name, _frame_arguments(command, args, options))
+    # 3. All others, with the one argument that some frames have and the C call has not.
+    if command.extra_arguments is not None:
+        name, _ = command.extra_arguments
+        args = _with_extra_argument(name, args, options)
+    yield Call(command.name, args)
 
 
-def _frame_arguments(command: Command, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the arguments in the order of the frame, with the pid, mask or packet type that the C call has not."""
-    if command.extra_arguments is None:
-        return args
-    match command.extra_arguments:
-        case ("pid", _):
+def _with_extra_argument(name: str, args: tuple[float, ...], options: argparse.Namespace) -> tuple[float, ...]:
+    """Return the arguments of a frame, in its order.
+
+    Parameters
+    ----------
+    name
+        The argument that comes from an option: "pid", last in its frames; "mask", the only one of its frame;
+        "packet_type", first in its frame.
+    args
+        Those of the C call.
+    """
+    match name:
+        case "pid":
             return (*args, options.pid)
-        case ("mask", _):
+        case "mask":
             if args:
-                raise WireError(f"{command.name} takes no arguments; give the mask with --mask")
+                raise WireError("ct takes no arguments; give the mask with --mask")
             mask: Mask = options.mask
             return mask.smask
-        case _:  # packet_type
+        case "packet_type":
             if options.packet_type is None:
-                raise WireError(f"{command.name} needs its --packet-type")
+                raise WireError("special_request needs its --packet-type")
             return (options.packet_type, *args)
+        case _:
+            raise ValueError(f"an unknown argument in the table of commands: {name}")
 
 
 def _decode(options: argparse.Namespace) -> int:

@@ -1,16 +1,12 @@
 """A world with its robots, and simulated time that advances in steps. No clock, no socket, no thread.
 
-`Simulation` is the whole of it: commands come between steps, and a step is motion, contact and sensors, in this order.
-At the end of the file is what a snapshot stores (`SimulationState`).
+Commands come between steps. In a step each body moves, stops where it touches something, and measures.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import hypot
-from typing import Final
-
-import numpy as np
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, RobotModel
@@ -21,21 +17,19 @@ from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
 from nserver_emu.simulation.spatial_hash import Disc, SpatialHash
 from nserver_emu.simulation.visibility import load_compiled
 from nserver_emu.simulation.walkers import SimulatedWalker, WalkerState
-from worlds.schema import MAX_COORDINATE_IN
-from worlds.world import (
-    MAX_CORNERS,
-    MAX_DOORS,
-    MAX_ROUTE_POINTS,
-    MAX_STARTS,
-    MAX_WALKERS,
-    Door,
-    Path,
-    Polygon,
-    StartPose,
-    Walker,
-    WallAccuracy,
-    World,
-)
+from worlds.world import StartPose, Walker, World, WorldState
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationState:
+    """The state of a simulation in a snapshot. Lists that are empty are None, and not written."""
+
+    seed: int
+    time_ps: int
+    world: WorldState
+    robots: dict[int, RobotState]
+    group: GroupState
+    walkers: tuple[WalkerState, ...] | None = None
 
 
 class Simulation:
@@ -63,15 +57,15 @@ class Simulation:
         In the order of `World.walkers`.
     """
 
-    def __init__(self, world: World, seed: int = 0) -> None:
+    def __init__(self, world: World, seed: int = 0, time_ps: int = 0) -> None:
         self.seed = seed
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
-        self.time_ps = 0
-        # Where each body can be detected by the others, now and at the last tick.
+        self.time_ps = time_ps
+        # Where sensors find the other bodies, now and at the last tick; empty while there is only one body.
         self._group = RobotGroup()
-        self.walkers = [SimulatedWalker(walker, world.walls) for walker in world.walkers]
-        # Positions of the robots; None after any of them may have moved.
+        self.walkers = [SimulatedWalker(walker, world.walls, time_ps) for walker in world.walkers]
+        # The places of the robots, a cache: None after any of them may have moved.
         self._spatial_hash: SpatialHash | None = None
         # True if robots were added that are not connected yet.
         self._has_new_robots = False
@@ -94,8 +88,7 @@ class Simulation:
         if list(state.robots) != sorted(state.robots):
             raise ValueError(f"robots are not in the order of their numbers: {list(state.robots)}")
         # 2. World and robots.
-        simulation = cls(state.world.world(), state.seed)
-        simulation.time_ps = state.time_ps
+        simulation = cls(state.world.world(), state.seed, state.time_ps)
         walls = simulation.world.walls
         simulation.robots = {
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
@@ -105,7 +98,6 @@ class Simulation:
             raise ValueError(
                 f"{len(state.walkers or ())} states of walkers for the {len(simulation.walkers)} walkers of the world"
             )
-        simulation.walkers = [SimulatedWalker(each.walker, walls, state.time_ps) for each in simulation.walkers]
         for walker, walker_state in zip(simulation.walkers, state.walkers or (), strict=True):
             walker.set_state(walker_state)
         # 3. Connect the bodies; with many robots it pays to compile the ray caster.
@@ -193,10 +185,19 @@ class Simulation:
     def _connect_new_robots(self) -> None:
         """Let new robots and all other bodies detect one another."""
         if self._has_new_robots:
-            load_compiled(len(self.robots))
-            if len(bodies := self.bodies) > 1:
-                self._group.set_bodies(bodies, self.time_ps)
+            load_compiled(len(self.robots))  # with many robots it pays to compile the ray caster
+            self._set_positions()
         self._has_new_robots = False
+
+    def _set_positions(self) -> None:
+        """Let sensors find all bodies where they are now, if there are several."""
+        if len(bodies := self.bodies) > 1:
+            self._group.set_bodies(bodies, self.time_ps)
+
+    def _set_obstacles(self) -> None:
+        """Let bumpers touch all bodies where they are now. In a step `RobotGroup.advance` does it."""
+        if len(bodies := self.bodies) > 1:
+            update_obstacles(bodies)
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
         """Raise StartError where a robot of this radius touches anything; the message says what.
@@ -229,13 +230,8 @@ class Simulation:
         """Set a robot down at a pose, as `SimulatedRobot.place` does; the others detect it there at once."""
         self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
         self._spatial_hash = None
-        self._update_group()
-
-    def _update_group(self) -> None:
-        """Make the present positions those that sensors and bumpers detect."""
-        if len(bodies := self.bodies) > 1:
-            self._group.set_bodies(bodies, self.time_ps)
-            update_obstacles(bodies)
+        self._set_positions()
+        self._set_obstacles()
 
     def change_world(self, world: World) -> None:
         """Replace the world now; earlier readings do not change. Walkers that the new world has as well walk on."""
@@ -245,22 +241,24 @@ class Simulation:
             robot.set_walls(world.walls)
         # 2. Walkers: those that stay, and new ones at the beginning of their routes.
         before = self.walkers
-        self.walkers = [self._simulated(walker) for walker in world.walkers]
+        self.walkers = [self._body_of(walker) for walker in world.walkers]
         for walker in self.walkers:
             walker.set_walls(world.walls)
-        # 3. The bodies that detect one another.
-        if self.walkers == before:
+        # 3. If there are other walkers now, their positions.
+        if self.walkers != before:
             if len(self.bodies) > 1:
-                update_obstacles(self.bodies)
-        elif len(self.bodies) > 1:
-            self._update_group()
-        else:
-            # One robot is left, without a group: a snapshot has positions of several bodies, or none.
-            self._group = RobotGroup()
-            for robot in self.robots.values():
-                robot.stand_alone()
+                self._set_positions()
+            else:
+                self._leave_alone()
+        self._set_obstacles()
 
-    def _simulated(self, walker: Walker) -> SimulatedWalker:
+    def _leave_alone(self) -> None:
+        """Forget the positions of bodies that are gone: at most one robot is left."""
+        self._group = RobotGroup()
+        for robot in self.robots.values():
+            robot.stand_alone()
+
+    def _body_of(self, walker: Walker) -> SimulatedWalker:
         """Return the body of a walker of the world; a new one starts now."""
         for body in self.walkers:
             if body.walker is walker:
@@ -283,105 +281,3 @@ class Simulation:
             self._group.advance(bodies, begin_ps, self.time_ps)
         for body in bodies:
             body.advance_to(self.time_ps)
-
-
-# What a snapshot stores.
-
-MAX_OUTLINE_CORNERS: Final = 1_000_000
-"""Corners of rooms and obstacles in a restored world; clients may add more obstacles than a file may have."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationState:
-    """The state of a simulation in a snapshot. Lists that are empty are None, and not written."""
-
-    seed: int
-    time_ps: int
-    world: WorldState
-    robots: dict[int, RobotState]
-    group: GroupState
-    walkers: tuple[WalkerState, ...] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class WorldState:
-    """The values that a world is built from. Rooms and obstacles are outlines; only inner walls are segments."""
-
-    name: str
-    title: str
-    rooms: tuple[Polygon, ...]
-    inner_walls: tuple[tuple[float, float, float, float], ...]
-    obstacles: tuple[Polygon, ...]
-    starts: tuple[StartPose, ...]
-    paths: tuple[Path, ...]
-    doors: tuple[Door, ...] | None = None
-    walkers: tuple[Walker, ...] | None = None
-    accuracies: dict[int, WallAccuracy] | None = None
-    wall_names: dict[int, str] | None = None
-
-    @classmethod
-    def of(cls, world: World) -> WorldState:
-        """Return the state of a world."""
-        return cls(
-            name=world.name,
-            title=world.title,
-            rooms=world.rooms,
-            inner_walls=tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist()),
-            obstacles=world.obstacles,
-            starts=world.starts,
-            paths=tuple(world.paths.values()),
-            doors=world.doors or None,
-            walkers=world.walkers or None,
-            accuracies=dict(world.accuracies) or None,
-            wall_names=dict(world.wall_names) or None,
-        )
-
-    def world(self) -> World:
-        """Return the world; raise ValueError if a value is impossible."""
-        self._check_sizes()
-        self._check_values()
-        return World(
-            self.name,
-            self.title,
-            self.rooms,
-            np.array(self.inner_walls).reshape(-1, 4),
-            self.obstacles,
-            self.starts,
-            {path.name: path for path in self.paths},
-            accuracies=self.accuracies or {},
-            doors=self.doors or (),
-            walkers=self.walkers or (),
-            wall_names=self.wall_names or {},
-        )
-
-    def _check_sizes(self) -> None:
-        """Raise ValueError if there is too little or too much of something."""
-        outlines = (*self.rooms, *self.obstacles)
-        if not self.starts or not all(len(outline.corners_in) > 2 for outline in outlines):
-            raise ValueError("a world without starts, or an outline with fewer than three corners")
-        corners = sum(len(outline.corners_in) for outline in outlines)
-        walls = len(self.inner_walls) + sum(len(room.corners_in) for room in self.rooms)
-        if walls > 2 * MAX_CORNERS or corners > MAX_OUTLINE_CORNERS or len(self.starts) > MAX_STARTS:
-            raise ValueError("too many walls, corners or starts")
-        doors, walkers = self.doors or (), self.walkers or ()
-        route_points = sum(len(walker.points_in) for walker in walkers)
-        if len(doors) > MAX_DOORS or len(walkers) > MAX_WALKERS or route_points > MAX_WALKERS * MAX_ROUTE_POINTS:
-            raise ValueError("too many doors, walkers or points of routes")
-
-    def _check_values(self) -> None:
-        """Raise ValueError if a value is impossible; every comparison is one that fails for nan."""
-        doors, walkers, accuracies = self.doors or (), self.walkers or (), self.accuracies or {}
-        for walker in walkers:
-            if not (len(walker.points_in) > 1 and walker.speed_in_s > 0.0 and walker.radius_in > 0.0):
-                raise ValueError("a walker needs two points, a speed and a radius above 0")
-        rows = range(len(self.inner_walls))
-        if not all(row in rows and min(accuracy) >= 0.0 for row, accuracy in accuracies.items()):
-            raise ValueError("the accuracy of a wall that does not exist, or below 0")
-        if not all(row in rows for row in self.wall_names or {}):
-            raise ValueError("the name of a wall that does not exist")
-        corners = [corner for outline in (*self.rooms, *self.obstacles) for corner in outline.corners_in]
-        routes = [point for walker in walkers for point in walker.points_in]
-        door_ends = [end for door in doors for end in door.ends_in]
-        for point in (*corners, *self.inner_walls, *routes, *door_ends):
-            if not all(abs(coordinate) <= MAX_COORDINATE_IN for coordinate in point):
-                raise ValueError(f"a coordinate beyond {MAX_COORDINATE_IN:g} in")

@@ -113,7 +113,7 @@ def test_selecting_sensors_preserves_position_data() -> None:
     everything = server.last().args
     assert everything[0] == 2 + 16
     assert set(everything[1:]) == {1}
-    robot.select_sensors(infrareds=(), sonars=[0, 15], bumpers=False, motion=True, compass=False, laser=False)
+    robot.select_sensors(infrareds=(), sonars=iter([0, 15]), bumpers=False, motion=True, compass=False, laser=False)
     smask = server.last().args
     assert [slot for slot in range(44) if smask[slot]] == [0, 17, 32, 34, 35, 36, 37, 38, 39, 40, 41]
     assert smask[0] == 18

@@ -175,6 +175,12 @@ def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, 
     assert server.last() == Call("sim_control", sent)
 
 
+def test_simulated_time_beyond_25_days_is_not_negative() -> None:
+    server = ScriptedServer({"sim_control": Reply("control", values=(1, -1000, 10, 0))})
+    assert robot_on(server).control_time("pause").time_s == pytest.approx((2**32 - 1000) / 1000)
+
+
+
 def test_unknown_time_verbs_are_rejected() -> None:
     with pytest.raises(ValueError, match=r"pause, resume, .*'stop'"):
         robot_on(ScriptedServer()).control_time("stop")  # type: ignore[arg-type]
