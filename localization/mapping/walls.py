@@ -12,7 +12,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from typing import Final
 
@@ -39,6 +39,8 @@ MIN_CROSSINGS: Final = 2
 MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
 MIN_PIECE_IN: Final = 4.0
+MIN_LENGTH_IN: Final = 2.0
+"""Ends that were moved nearer to one another than this, or past one another, are those of no wall."""
 MIN_SPOTS: Final = 5
 MAX_STRAY_SPOTS, MAX_ALONE, STRAY_GAP_IN = 4, 2, 8.0
 """So few spots beyond a point at the end of a wall, or so far from all others, are mistakes."""
@@ -160,9 +162,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
         )
     ]  # fmt: skip
     # 3. Ends.
-    _join_corners(pieces, lines, points)
-    _move_ends_to_points(pieces, lines, points)
-    _close_small_gaps(pieces, lines)
+    pieces = _with_ends(pieces, lines, points)
     _add_accuracy(estimate, pieces, lines)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
@@ -414,6 +414,24 @@ class _Corner:
     place: Floats
     one_end: int | None
     other_end: int | None
+
+
+def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats) -> list[Piece]:
+    """Return pieces whose ends are moved to corners, points and other walls, without those that then have no length.
+
+    Both ends of a short piece across another wall move to where it crosses. It is no wall, and nothing ends at it.
+    """
+    while True:
+        # 1. As if all of them were walls.
+        found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
+        _join_corners(found, lines, points)
+        _move_ends_to_points(found, lines, points)
+        _close_small_gaps(found, lines)
+        # 2. Once more without those that are none.
+        sizes = [float((piece.ends[1] - piece.ends[0]) @ lines[piece.line].along) for piece in found]
+        if min(sizes, default=MIN_LENGTH_IN) >= MIN_LENGTH_IN:
+            return found
+        pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size >= MIN_LENGTH_IN]
 
 
 def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:

@@ -40,6 +40,24 @@ def test_points_without_sound_between_them_are_a_wall(opened: MapEstimate) -> No
     assert wall.ends[:, 0].max() > 35.0
 
 
+@pytest.mark.parametrize("half_in", [2.5, 3.5])
+def test_short_piece_across_a_wall_is_none(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, half_in: float
+) -> None:
+    # 5 and 7 in at 40 degrees across the wall at x = 95: both of its ends are nearer to that than SMALL_GAP_IN.
+    found, angle, measured_feet = estimate.copy(), 0.7, walls._clear_feet
+    place = np.array((95.0, 20.0))
+    middle = float(place @ (-np.sin(angle), np.cos(angle)))
+    found.add_wall(
+        np.array((angle, place @ (np.cos(angle), np.sin(angle)))), np.array((middle - half_in, middle + half_in))
+    )
+    short, feet = len(estimate.state.walls), np.linspace(middle - half_in, middle + half_in, 8)
+    monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == short else measured_feet(of, wall))
+    # Nothing ends at it either.
+    before, after = ([piece.ends for piece in extract_walls(each)] for each in (estimate, found))
+    np.testing.assert_array_equal(after, before)
+
+
 @pytest.mark.parametrize("stops_sound", [True, False])
 def test_wall_that_stops_sound_is_no_point(
     opened: MapEstimate, monkeypatch: pytest.MonkeyPatch, stops_sound: bool
