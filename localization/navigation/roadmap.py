@@ -7,8 +7,11 @@ touch two of the circles about the walls' ends, and free arcs of those circles i
     edges    free tangents, and free arcs from one node to the next on a circle
     path     A* from the start to the goal, whose own tangents are added to the graph
 
+The tangents of a circle are computed when A* first reaches it, so time and memory follow the paths and not the size of
+the map.
+
 A start or goal nearer to a wall than the radius is left, or reached, by the shortest straight line that comes no
-nearer. A Roadmap is built once and used for many paths. Lengths in inches, angles in radians.
+nearer. A Roadmap is used for many paths and stores the circles that they reached. Lengths in inches, angles in radians.
 
 A path close to walls is slow, because an estimate is never exact; a wider one costs little length, up to a point.
 Of the paths with each of MARGINS_IN the Planner takes the widest that is at most DETOUR longer than the shortest one
@@ -45,11 +48,19 @@ from localization.navigation.path import (
     wall_distances,
 )
 from nclient.errors import NomadError
-from worlds.geometry import nearest_points
+from worlds.geometry import nearest_points, nearest_points_of_pairs
 
 START, GOAL = 0, 1
 ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
 """How far, in which steps and in how many directions a free point near a start or goal is searched."""
+MAX_PAIRS: Final = 100_000
+"""Segments times walls that are compared at once: about 10 MB of arrays."""
+_FIRST_WALLS: Final = 16
+"""Walls that all segments are compared with; the number doubles from step to step."""
+_NEAREST_WALLS: Final = 8
+"""Walls at each circle that discard most tangents before they are compared with others."""
+NEAR_IN: Final = 0.01
+"""Added to the distance within which walls matter for a circle, for rounding errors."""
 _MIN_DISTANCE: Final = 1e-12
 Point = tuple[float, float]
 Indices = np.typing.NDArray[np.intp]
@@ -75,6 +86,24 @@ def segment_clearances(segments: Floats, walls: Floats) -> Floats:
         nearest = np.minimum(nearest, np.minimum(from_segment.min(axis=1), from_wall.min(axis=0)))
     nearest[crossings(segments, walls).any(axis=1)] = 0.0
     return nearest
+
+
+def are_clear(segments: Floats, walls: Floats, distance_in: float) -> Mask:
+    """Return True (n,) for segments (n, 4) that keep a distance to all walls (m, 4).
+
+    The same as `segment_clearances(segments, walls) >= distance_in`, but a segment is compared with further walls only
+    while it is clear of those before. It is fast if the first walls block most of the segments.
+    """
+    clear = np.ones(len(segments), dtype=np.bool_)
+    remaining = np.arange(len(segments))
+    first, count = 0, _FIRST_WALLS
+    while first < len(walls) and len(remaining):
+        count = max(1, min(count, MAX_PAIRS // len(remaining)))
+        near = walls[first : first + count]
+        first, count = first + count, 2 * count
+        clear[remaining] = segment_clearances(segments[remaining], near) >= distance_in
+        remaining = remaining[clear[remaining]]
+    return clear
 
 
 def crossings(segments: Floats, walls: Floats) -> Mask:
@@ -145,8 +174,8 @@ def _border_angles(centre: Floats, walls: Floats, radius_in: float) -> Floats:
     return np.array(found) % tau
 
 
-def common_tangents(centres: Floats, radius_in: float) -> tuple[Floats, Indices]:
-    """Return all common tangents of circles of one radius.
+def common_tangents(centres: Floats, pairs: Indices, radius_in: float) -> tuple[Floats, Indices, Indices]:
+    """Return the common tangents of pairs of circles of one radius.
 
     Two circles have two outer tangents, parallel to the line of their centres, and, if they do not overlap, two inner
     ones, at the angle acos(2 radius / distance) from it.
@@ -154,6 +183,8 @@ def common_tangents(centres: Floats, radius_in: float) -> tuple[Floats, Indices]
     Parameters
     ----------
     centres : (n, 2) array
+    pairs : (p, 2) array of int
+        Two different circles each.
 
     Returns
     -------
@@ -161,9 +192,10 @@ def common_tangents(centres: Floats, radius_in: float) -> tuple[Floats, Indices]
         Angle of the two touching points, each on its circle.
     circles : (k, 2) array of int
         The circles that these points lie on.
+    kinds : (k,) array of int
+        0 and 2 for outer, 1 and 3 for inner tangents: each at most once for a pair.
     """
-    one, other = np.triu_indices(len(centres), 1)
-    offset = centres[other] - centres[one]
+    offset = centres[pairs[:, 1]] - centres[pairs[:, 0]]
     distance, along = np.hypot(offset[:, 0], offset[:, 1]), np.arctan2(offset[:, 1], offset[:, 0])
     apart = distance >= 2.0 * radius_in
     cross = np.arccos(np.minimum(1.0, 2.0 * radius_in / distance))
@@ -173,9 +205,9 @@ def common_tangents(centres: Floats, radius_in: float) -> tuple[Floats, Indices]
         angles.append(np.stack((outer, outer), axis=-1))
         inner = (along + side * cross)[apart]
         angles.append(np.stack((inner, inner + pi), axis=-1))
-        pair = np.stack((one, other), axis=-1)
-        circles += [pair, pair[apart]]
-    return np.concatenate(angles) % tau, np.concatenate(circles)
+        circles += [pairs, pairs[apart]]
+    kinds = np.repeat(np.arange(4), [len(part) for part in circles])
+    return np.concatenate(angles) % tau, np.concatenate(circles), kinds
 
 
 def tangents_from(point: Floats, centres: Floats, radius_in: float) -> tuple[Floats, Indices]:
@@ -189,7 +221,7 @@ def tangents_from(point: Floats, centres: Floats, radius_in: float) -> tuple[Flo
 
 
 def points_on_circles(centres: Floats, circles: Indices, angles: Floats, radius_in: float) -> Floats:
-    """Return the points (k, 2) at angles (k,) on circles (k,)."""
+    """Return the points (..., 2) at angles (...) on circles (...)."""
     return centres[circles] + radius_in * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
 
 
@@ -201,27 +233,60 @@ class _Arc(NamedTuple):
     turn_rad: float
 
 
-class _Graph:
-    """Nodes (n, 2), the first two being start and goal; `edges` per node: length, other node, arc or None."""
+class _CircleNodes(NamedTuple):
+    """Nodes of one circle: the touching points of its free tangents, in the order of their numbers."""
 
-    def __init__(self, points: Floats) -> None:
-        self.points = points
-        self.edges: dict[int, list[tuple[float, int, _Arc | None]]] = defaultdict(list)
+    numbers: Indices
+    """(k,) numbers of the nodes; the other end of the tangent has `number ^ 1`."""
+    angles: Floats
+    """(k,) angles on the circle."""
+    points: Floats
+    """(k, 2) touching points."""
+    other_circles: Indices
+    """(k,) circles of the other ends."""
+    other_points: Floats
+    """(k, 2) other ends."""
+
+
+class _Search:
+    """A* from START to GOAL, at two points (2, 2); the nodes and edges of a circle are added when it is reached.
+
+    The numbers of nodes, and with them the choice among paths of one length, do not depend on earlier searches.
+    """
+
+    def __init__(self, ends: Floats) -> None:
+        self._goal = ends[GOAL]
+        self.points: dict[int, Point] = {}
+        self._remaining: dict[int, float] = {}
+        self._circle_of: dict[int, int] = {}
+        self._edges: dict[int, list[tuple[float, int, _Arc | None]]] = defaultdict(list)
+        self._ends_on: dict[int, list[tuple[int, float]]] = defaultdict(list)
+        self._add_nodes([START, GOAL], ends)
+
+    def add_end_tangents(self, end: int, numbers: Indices, angles: Floats, circles: Indices, points: Floats) -> None:
+        """Add the free tangents from START or GOAL: angles (k,) on circles (k,), touching points (k, 2)."""
+        self._add_nodes(numbers.tolist(), points)
+        lengths = np.hypot(*(points - np.array(self.points[end])).T)
+        for number, angle, circle, length in zip(
+            numbers.tolist(), angles.tolist(), circles.tolist(), lengths.tolist(), strict=True
+        ):
+            self._circle_of[number] = circle
+            self._ends_on[circle].append((number, angle))
+            self.join(end, number, length)
 
     def join(self, one: int, other: int, length_in: float, arc: _Arc | None = None) -> None:
         """Add an edge in both directions."""
         back = arc and _Arc(arc.circle, arc.from_rad + arc.turn_rad, -arc.turn_rad)
-        self.edges[one].append((length_in, other, arc))
-        self.edges[other].append((length_in, one, back))
+        self._edges[one].append((length_in, other, arc))
+        self._edges[other].append((length_in, one, back))
 
-    def shortest(self) -> list[tuple[int, int, _Arc | None]] | None:
-        """Return the edges from start to goal in order, by A*; None if they are not connected."""
-        # The straight distance to the goal never exceeds the remaining length: an admissible heuristic.
-        heuristic = np.hypot(*(self.points - self.points[GOAL]).T).tolist()
+    def shortest(self, roadmap: "Roadmap") -> list[tuple[int, int, _Arc | None]] | None:
+        """Return the edges from start to goal in order; None if they are not connected."""
         reached: dict[int, float] = {START: 0.0}
         before: dict[int, tuple[int, _Arc | None]] = {}
-        queue: list[tuple[float, int]] = [(heuristic[START], START)]
+        queue: list[tuple[float, int]] = [(self._remaining[START], START)]
         done: set[int] = set()
+        added: set[int] = set()
         while queue:
             _, node = heapq.heappop(queue)
             if node == GOAL:
@@ -229,12 +294,48 @@ class _Graph:
             if node in done:
                 continue
             done.add(node)
-            for length, other, arc in self.edges[node]:
+            circle = self._circle_of.get(node)
+            if circle is not None and circle not in added:
+                added.add(circle)
+                self._add_circle(circle, roadmap)
+            for length, other, arc in self._edges[node]:
                 total = reached[node] + length
                 if total < reached.get(other, inf):
                     reached[other], before[other] = total, (node, arc)
-                    heapq.heappush(queue, (total + heuristic[other], other))
+                    heapq.heappush(queue, (total + self._remaining[other], other))
         return None
+
+    def _add_nodes(self, numbers: list[int], points: Floats) -> None:
+        # The straight distance to the goal never exceeds the remaining length: an admissible heuristic.
+        remaining = np.hypot(*(points - self._goal).T).tolist()
+        self.points.update(zip(numbers, map(tuple, points.tolist()), strict=True))
+        self._remaining.update(zip(numbers, remaining, strict=True))
+
+    def _add_circle(self, circle: int, roadmap: "Roadmap") -> None:
+        """Add the nodes of a circle, the far ends of its tangents, and its edges."""
+        nodes = roadmap.circle_nodes(circle)
+        numbers = nodes.numbers.tolist()
+        # 1. The free tangents.
+        others = [number ^ 1 for number in numbers]
+        self._add_nodes(numbers, nodes.points)
+        self._add_nodes(others, nodes.other_points)
+        self._circle_of.update(dict.fromkeys(numbers, circle))
+        self._circle_of.update(zip(others, nodes.other_circles.tolist(), strict=True))
+        lengths = np.hypot(*(nodes.other_points - nodes.points).T).tolist()
+        for number, other, length in zip(numbers, others, lengths, strict=True):
+            self._edges[number].append((length, other, None))
+        # 2. Free arcs between neighbours, with the nodes of the start and the goal.
+        ends = self._ends_on[circle]
+        angles = np.concatenate(([angle for _, angle in ends], nodes.angles))
+        numbers = [number for number, _ in ends] + numbers
+        order = np.argsort(angles)
+        angles = angles[order]
+        turns = np.diff(angles, append=angles[0] + tau).tolist()
+        free = roadmap.corner_circle(circle).free(angles)
+        for k, (first, last) in enumerate(zip(order, np.roll(order, -1), strict=True)):
+            if free[k]:
+                arc = _Arc(circle, float(angles[k]), turns[k])
+                self.join(numbers[first], numbers[last], roadmap.radius_in * turns[k], arc)
 
 
 def _trace_back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, int, _Arc | None]]:
@@ -252,12 +353,51 @@ class Roadmap:
     def __init__(self, walls: Floats, radius_in: float) -> None:
         self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
         self._centres = np.unique(self.walls.reshape(-1, 2), axis=0)
-        self._corner_circles = [CornerCircle(centre, self.walls, radius_in) for centre in self._centres]
-        angles, circles = common_tangents(self._centres, radius_in)
-        ends = [points_on_circles(self._centres, circles[:, k], angles[:, k], radius_in) for k in (0, 1)]
-        free = self._is_free(np.concatenate(ends, axis=1), radius_in)
-        self._angles, self._circles = angles[free].reshape(-1), circles[free].reshape(-1)
-        self._nodes = np.stack(ends, axis=1)[free].reshape(-1, 2)
+        self._nearest = self._nearest_walls()
+        self.corner_circle = cache(self._corner_circle)
+        self.circle_nodes = cache(self._circle_nodes)
+
+    def _nearest_walls(self) -> Indices:
+        """Return the numbers (n, k) of the walls nearest to each circle's centre."""
+        count = min(_NEAREST_WALLS, len(self.walls))
+        if not count:
+            return np.zeros((0, 0), dtype=np.intp)
+        parts = np.array_split(self._centres, -(-len(self._centres) * len(self.walls) // MAX_PAIRS))
+        distances = (nearest_points(part, self.walls)[1] for part in parts)
+        return np.concatenate([np.argpartition(part, count - 1, axis=1)[:, :count] for part in distances])
+
+    def _corner_circle(self, number: int) -> CornerCircle:
+        # Walls farther away do not come within the radius of a point on the circle.
+        distances = nearest_points(self._centres[number], self.walls)[1]
+        near = self.walls[distances <= 2.0 * self.radius_in + NEAR_IN]
+        return CornerCircle(self._centres[number], near, self.radius_in)
+
+    def _circle_nodes(self, number: int) -> _CircleNodes:
+        """Return the free tangents of a circle."""
+        count = len(self._centres)
+        # 1. All tangents of pairs with this circle, the smaller number first.
+        others = np.delete(np.arange(count), number)
+        pairs = np.stack((np.minimum(others, number), np.maximum(others, number)), axis=-1)
+        angles, circles, kinds = common_tangents(self._centres, pairs, self.radius_in)
+        points = points_on_circles(self._centres, circles, angles, self.radius_in)
+        own = (circles[:, 1] == number).astype(np.intp)
+        # 2. Discard those with an end too near to a wall, then those that pass too near to one.
+        rows = np.arange(len(circles))
+        for end in (own, 1 - own):
+            near = self.walls[self._nearest[circles[rows, end[rows]]]]
+            _, distances = nearest_points_of_pairs(points[rows, end[rows], None], near)
+            rows = rows[distances.min(axis=1) >= self.radius_in - SLACK_IN]
+        rows = rows[self._are_free(points[rows].reshape(-1, 4), self.radius_in, self._centres[number])]
+        # 3. Number the nodes after those of start and goal: by kind, pair and end.
+        own, other = own[rows], 1 - own[rows]
+        tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
+        return _CircleNodes(
+            2 + 4 * count + 2 * tangents + own,
+            angles[rows, own],
+            points[rows, own],
+            circles[rows, other],
+            points[rows, other],
+        )
 
     def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
         """Return the shortest path from start to goal; empty if they are the same point.
@@ -282,7 +422,7 @@ class Roadmap:
                 f"no space at ({goal[0]:g}, {goal[1]:g}): {distances[1]:.1f} in to a wall, {required:.1f} in needed"
             )
         # 1. The straight line, if it is free.
-        if self._is_free(ends.reshape(1, 4), min(self.radius_in, *distances))[0]:
+        if self._are_free(ends.reshape(1, 4), min(self.radius_in, *distances), ends[0])[0]:
             return [line_between(start, goal)]
         # 2. Otherwise from a free point near the start to one near the goal.
         inner = np.stack([self._free_point_near(end, far) for end, far in zip(ends, distances, strict=True)])
@@ -314,9 +454,10 @@ class Roadmap:
                     f"wall, {least:.1f} in needed"
                 )
 
-    def _is_free(self, segments: Floats, distance_in: float) -> Mask:
-        """Return True (n,) for segments (n, 4) that keep the distance to all walls."""
-        return segment_clearances(segments, self.walls) >= distance_in - SLACK_IN
+    def _are_free(self, segments: Floats, distance_in: float, around: Floats) -> Mask:
+        """Return True (n,) for segments (n, 4) that keep the distance to all walls; fast if all begin `around` here."""
+        nearest_first = np.argsort(nearest_points(around, self.walls)[1], kind="stable")
+        return are_clear(segments, self.walls[nearest_first], distance_in - SLACK_IN)
 
     def _free_point_near(self, point: Floats, distance_in: float) -> Floats:
         """Return the nearest point with enough distance that is reached straight, coming no nearer to a wall.
@@ -331,7 +472,7 @@ class Roadmap:
             there = point + offset * directions
             there = there[wall_distances(there, self.walls) >= self.radius_in]
             here = np.broadcast_to(point, there.shape)
-            free = self._is_free(np.concatenate((here, there), axis=1), distance_in)
+            free = self._are_free(np.concatenate((here, there), axis=1), distance_in, point)
             if free.any():
                 found: Floats = there[free][0]
                 return found
@@ -339,52 +480,28 @@ class Roadmap:
 
     def _search(self, ends: Floats) -> list[PathElement] | None:
         """Return the shortest path from ends[0] to ends[1] (2, 2); None if there is none."""
-        points, angles, circles = [ends], [], []
-        lines: list[tuple[int, int, float]] = []
+        search = _Search(ends)
         # 1. The direct line.
-        if self._is_free(ends.reshape(1, 4), self.radius_in)[0]:
-            lines.append((START, GOAL, float(np.hypot(*(ends[1] - ends[0])))))
+        if self._are_free(ends.reshape(1, 4), self.radius_in, ends[0])[0]:
+            search.join(START, GOAL, float(np.hypot(*(ends[1] - ends[0]))))
         # 2. Free tangents from start and goal to all circles.
         count = 2
         for number, end in enumerate(ends):
             angle, circle = tangents_from(end, self._centres, self.radius_in)
             there = points_on_circles(self._centres, circle, angle, self.radius_in)
-            free = self._is_free(np.concatenate((np.broadcast_to(end, there.shape), there), axis=1), self.radius_in)
-            points.append(there[free])
-            angles.append(angle[free])
-            circles.append(circle[free])
-            lengths = np.hypot(*(there[free] - end).T)
-            lines += [(number, count + k, float(length)) for k, length in enumerate(lengths)]
-            count += len(lengths)
-        # 3. The graph: these lines, the roadmap's tangents, and free arcs.
-        graph = _Graph(np.concatenate([*points, self._nodes]))
-        for line in lines:
-            graph.join(*line)
-        for k in range(0, len(self._nodes), 2):
-            graph.join(count + k, count + k + 1, float(np.hypot(*(self._nodes[k + 1] - self._nodes[k]))))
-        self._join_arcs(graph, np.concatenate([*angles, self._angles]), np.concatenate([*circles, self._circles]))
-        # 4. Search.
-        edges = graph.shortest()
-        return None if edges is None else _join_elements([self._element(graph, *edge) for edge in edges])
+            lines = np.concatenate((np.broadcast_to(end, there.shape), there), axis=1)
+            free = self._are_free(lines, self.radius_in, end)
+            numbers = np.arange(count, count + int(free.sum()))
+            search.add_end_tangents(number, numbers, angle[free], circle[free], there[free])
+            count += len(numbers)
+        # 3. Search.
+        edges = search.shortest(self)
+        return None if edges is None else _join_elements([self._element(search, *edge) for edge in edges])
 
-    def _join_arcs(self, graph: _Graph, angles: Floats, circles: Indices) -> None:
-        """Join neighbouring nodes on each circle where the arc between them is free; nodes are counted from 2."""
-        for number, corner in enumerate(self._corner_circles):
-            there = np.flatnonzero(circles == number)
-            if not len(there):
-                continue
-            there = there[np.argsort(angles[there])]
-            turns = np.diff(angles[there], append=angles[there[0]] + tau)
-            around = zip(there, np.roll(there, -1), turns, corner.free(angles[there]), strict=True)
-            for one, other, turn, free in around:
-                if free:
-                    arc = _Arc(number, float(angles[one]), float(turn))
-                    graph.join(int(one) + 2, int(other) + 2, self.radius_in * float(turn), arc)
-
-    def _element(self, graph: _Graph, one: int, other: int, arc: _Arc | None) -> PathElement:
-        x, y = graph.points[one].tolist()
+    def _element(self, search: _Search, one: int, other: int, arc: _Arc | None) -> PathElement:
+        x, y = search.points[one]
         if arc is None:
-            return line_between((x, y), graph.points[other].tolist())
+            return line_between((x, y), search.points[other])
         left = 1.0 if arc.turn_rad >= 0.0 else -1.0
         heading = arc.from_rad + left * 0.5 * pi
         return PathElement(x, y, heading, left / self.radius_in, self.radius_in * abs(arc.turn_rad))

@@ -45,8 +45,9 @@ def test_free_angles_at_end_of_single_wall() -> None:
 def test_tangents_touch_both_circles_and_cut_neither() -> None:
     # Two far pairs with four tangents each, one overlapping pair with two.
     centres = np.array([[0.0, 0.0], [50.0, 10.0], [60.0, 0.0]])
-    angles, circles = common_tangents(centres, RADIUS_IN)
+    angles, circles, kinds = common_tangents(centres, np.array([[0, 1], [0, 2], [1, 2]]), RADIUS_IN)
     assert len(angles) == 4 + 4 + 2
+    assert len({(*pair, kind) for pair, kind in zip(circles.tolist(), kinds.tolist(), strict=True)}) == len(angles)
     ends = [points_on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
     segments = np.concatenate(ends, axis=1)
     # Each tangent ends at both circles, and cuts neither.

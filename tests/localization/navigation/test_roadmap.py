@@ -1,11 +1,13 @@
 """Shortest paths: against the closed form around one end of a wall, against Dijkstra on a fine grid, and between the
-shortest paths around polygons in and around the grown walls, by a visibility graph of another kind."""
+shortest paths around polygons in and around the grown walls, by a visibility graph of another kind; on random walls,
+against Dijkstra on the graph of all tangents and of arcs cut into small steps."""
 
 from __future__ import annotations
 
+import tracemalloc
 from functools import cache
 from itertools import pairwise
-from math import acos, atan2, cos, hypot, pi, sqrt
+from math import acos, asin, atan2, cos, hypot, inf, pi, sqrt, tau
 
 import numpy as np
 import pytest
@@ -14,8 +16,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
 from localization.filters.belief import Floats
+from localization.navigation import roadmap as module
 from localization.navigation.path import PathElement, total_length_in
-from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
+from localization.navigation.roadmap import NoPathError, Roadmap, are_clear, segment_clearances
 from worlds.geometry import nearest_points
 from worlds.io import load_world
 from worlds.robots import N150
@@ -200,3 +203,116 @@ def test_clearances_by_hand() -> None:
     np.testing.assert_allclose(segment_clearances(segments, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
     assert segment_clearances(segments, np.zeros((0, 4))).min() == np.inf
     assert segment_clearances(np.zeros((0, 4)), walls).shape == (0,)
+
+
+def random_walls(seed: int, count: int, size_in: float, *, is_on_grid: bool = False) -> Floats:
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(0.0, size_in, (count, 2))
+    walls = np.concatenate((ends, ends + rng.normal(0.0, 20.0, (count, 2))), axis=1)
+    return np.round(walls / 10.0) * 10.0 if is_on_grid else walls
+
+
+@pytest.mark.parametrize("distance_in", [0.0, 3.0, 20.0])
+def test_segments_clear_if_clearance_suffices(distance_in: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_PAIRS", 500)
+    segments, walls = random_walls(1, 300, 200.0), random_walls(2, 40, 200.0)
+    expected = segment_clearances(segments, walls) >= distance_in
+    assert 0 < expected.sum() < 300 or distance_in == 0.0
+    np.testing.assert_array_equal(are_clear(segments, walls, distance_in), expected)
+    assert are_clear(segments, np.zeros((0, 4)), distance_in).all()
+    assert are_clear(np.zeros((0, 4)), walls, distance_in).shape == (0,)
+
+
+def all_tangents_length(walls: Floats, start: Floats, goal: Floats, radius: float) -> float:
+    """Return the length by Dijkstra over all tangents of all circles, compared with all walls.
+
+    Start and goal are circles of radius 0. Directed circles, left +1 and right -1, have one tangent from each to each:
+    its left normal has the angle at which the difference of the signed radii is the distance of the tangent points
+    across the line of centres. The arcs are joined in the direction of travel, in samples of 0.002 rad.
+    """
+    corners = np.unique(walls.reshape(-1, 2), axis=0)
+    circles = [(start, 0.0), (goal, 0.0), *((corner, sign * radius) for corner in corners for sign in (1.0, -1.0))]
+    owners, points, turns, lines = [], [], [], []
+    for one, (centre, signed) in enumerate(circles):
+        for other, (far_centre, far_signed) in enumerate(circles):
+            offset = far_centre - centre
+            distance = hypot(*offset)
+            across = signed - far_signed
+            if one == other or distance <= abs(across) or distance < 1e-9:
+                continue
+            heading = atan2(offset[1], offset[0]) + asin(across / distance)
+            # The centre of a left turn is on the left.
+            right = np.array([np.sin(heading), -np.cos(heading)])
+            owners += [one, other]
+            points += [centre + signed * right, far_centre + far_signed * right]
+            turns += [heading, heading]
+            lines.append((len(points) - 2, len(points) - 1))
+    ends = np.array(points)
+    segments = ends.reshape(-1, 4)
+    free = segment_clearances(segments, walls) >= radius - 1e-6
+    lengths = np.hypot(*(segments[:, 2:] - segments[:, :2]).T)
+    edges = [(*line, length) for line, length, is_free in zip(lines, lengths, free, strict=True) if is_free]
+    used = {node for one, other, _ in edges for node in (one, other)}
+    for number, (centre, signed) in enumerate(circles):
+        there = sorted((turns[node] % tau, node) for node in used if owners[node] == number)
+        for (begin, node), (end, following) in zip(there, there[1:] + there[:1], strict=True):
+            turn = (end - begin) % tau if node != following else tau
+            headings = begin + np.linspace(0.0, turn, 2 + int(turn / 0.002))
+            rim = centre + signed * np.stack((np.sin(headings), -np.cos(headings)), axis=-1)
+            if not signed or nearest_points(rim, walls)[1].min() >= radius - 1e-6:
+                one, other = (node, following) if signed >= 0.0 else (following, node)
+                edges.append((one, other, max(abs(signed) * turn, 1e-12)))
+    nodes = len(points)
+    edges += [(nodes, node, 1e-12) for node in used if owners[node] == 0]
+    edges += [(node, nodes + 1, 1e-12) for node in used if owners[node] == 1]
+    begins, finishes, weights = zip(*edges, strict=True)
+    graph = csr_matrix((weights, (begins, finishes)), shape=(nodes + 2,) * 2)
+    return float(dijkstra(graph, indices=nodes)[nodes + 1])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_paths_equal_those_of_the_whole_graph(seed: int) -> None:
+    walls, radius = random_walls(seed, 14, 200.0, is_on_grid=seed % 2 == 1), 6.0
+    roadmap, rng = Roadmap(walls, radius), np.random.default_rng(seed)
+    lengths: list[float] = []
+    while len(lengths) < 4:
+        start, goal = rng.uniform(-10.0, 210.0, (2, 2))
+        if nearest_points(np.stack((start, goal)), walls)[1].min() < radius:
+            continue
+        try:
+            length = total_length_in(roadmap.path(tuple(start.tolist()), tuple(goal.tolist())))
+        except NoPathError:
+            length = inf
+        assert length == pytest.approx(all_tangents_length(walls, start, goal, radius), abs=1e-5)
+        lengths.append(length - hypot(*(goal - start)))
+    # Some paths are not straight.
+    assert max(length for length in lengths if length < inf) > 1.0
+
+
+def test_paths_do_not_depend_on_earlier_ones() -> None:
+    walls = random_walls(3, 14, 200.0, is_on_grid=True)
+    ends = [((-20.0, 5.0), (220.0, 195.0)), ((100.0, -20.0), (95.0, 220.0)), ((220.0, 5.0), (-20.0, 195.0))]
+    roadmap = Roadmap(walls, 6.0)
+    for start, goal in [*ends, *reversed(ends)]:
+        assert roadmap.path(start, goal) == Roadmap(walls, 6.0).path(start, goal)
+
+
+def test_arrays_stay_small_in_a_large_map() -> None:
+    """A thousand walls have four million tangents; one array of these times the walls would need 30 GiB."""
+    # 256 rooms of 100 in, with doors of 40 in.
+    lines = np.arange(0.0, 1700.0, 100.0)
+    sides = [(x, y, x, y + part) for x in lines for y in lines for part in (30.0, -30.0)]
+    walls = np.array([*sides, *((y, x, y + part, x) for x in lines for y in lines for part in (30.0, -30.0))])
+    assert len(walls) > 1000
+    tracemalloc.start()
+    try:
+        roadmap = Roadmap(walls, 10.0)
+        length = total_length_in(roadmap.path((50.0, 50.0), (250.0, 150.0)))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # From the first room through three doors; around the ends of walls it is longer than straight.
+    assert hypot(200.0, 100.0) < length <= 300.0
+    assert peak < 50e6
+    # The search does not reach most of the circles.
+    assert roadmap.circle_nodes.cache_info().currsize < 100
