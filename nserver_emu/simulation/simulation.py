@@ -22,7 +22,7 @@ from worlds.world import StartPose, Walker, World, WorldState
 
 @dataclass(frozen=True, slots=True)
 class SimulationState:
-    """The state of a simulation in a snapshot. Lists that are empty are None, and not written."""
+    """The state of a simulation in a snapshot. Without walkers, `walkers` is None and left out of the file."""
 
     seed: int
     time_ps: int
@@ -41,9 +41,17 @@ class Simulation:
     A robot goes through these states:
 
         add_robot   it has a place, which no other may take; its sensors are off
-        connected   it is part of `RobotGroup`: bumpers and sensors of all bodies detect it, and its own detect them.
-                    Done for all new robots at once, before the first of them measures and before the next step
+        connected   sensors of all robots detect it, and its own detect them. Done for all new robots at once, before
+                    the first of them measures and before the next step
         power_on    its sensors measure
+
+    What bodies know of one another is stored in three places, besides the bodies themselves:
+
+        _group          where sensors find the others: set where bodies come, go or are placed (`_set_positions`), and
+                        advanced by `step`
+        obstacles       what a body touches, stored in each body: set where it is placed (`_set_obstacles`), and by the
+                        group in each span of a step
+        _spatial_hash   where there is room for a start: built when it is needed, dropped when a robot may have moved
 
     Attributes
     ----------
@@ -62,10 +70,9 @@ class Simulation:
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
         self.time_ps = time_ps
-        # Where sensors find the other bodies, now and at the last tick; empty while there is only one body.
+        # Empty while there is only one body.
         self._group = RobotGroup()
         self.walkers = [SimulatedWalker(walker, world.walls, time_ps) for walker in world.walkers]
-        # The places of the robots, a cache: None after any of them may have moved.
         self._spatial_hash: SpatialHash | None = None
         # True if robots were added that are not connected yet.
         self._has_new_robots = False
@@ -158,7 +165,8 @@ class Simulation:
         self.robots[robot_id] = robot
         if not is_in_order:
             self.robots = dict(sorted(self.robots.items()))
-        self.spatial_hash.add(robot_id, robot.disc)
+        if self._spatial_hash is not None:  # not dropped: a thousand robots are added one after another
+            self._spatial_hash.add(robot_id, robot.disc)
         self._has_new_robots = True
         # 4. Power.
         if powered:
@@ -195,7 +203,7 @@ class Simulation:
             self._group.set_bodies(bodies, self.time_ps)
 
     def _set_obstacles(self) -> None:
-        """Let bumpers touch all bodies where they are now. In a step `RobotGroup.advance` does it."""
+        """Let bodies touch one another where they are now, if there are several."""
         if len(bodies := self.bodies) > 1:
             update_obstacles(bodies)
 
@@ -241,7 +249,7 @@ class Simulation:
             robot.set_walls(world.walls)
         # 2. Walkers: those that stay, and new ones at the beginning of their routes.
         before = self.walkers
-        self.walkers = [self._body_of(walker) for walker in world.walkers]
+        self.walkers = [self._continued(walker) for walker in world.walkers]
         for walker in self.walkers:
             walker.set_walls(world.walls)
         # 3. If there are other walkers now, their positions.
@@ -249,17 +257,17 @@ class Simulation:
             if len(self.bodies) > 1:
                 self._set_positions()
             else:
-                self._leave_alone()
+                self._forget_other_bodies()
         self._set_obstacles()
 
-    def _leave_alone(self) -> None:
-        """Forget the positions of bodies that are gone: at most one robot is left."""
+    def _forget_other_bodies(self) -> None:
+        """Leave the one robot that is left, if any, without other bodies."""
         self._group = RobotGroup()
         for robot in self.robots.values():
             robot.stand_alone()
 
-    def _body_of(self, walker: Walker) -> SimulatedWalker:
-        """Return the body of a walker of the world; a new one starts now."""
+    def _continued(self, walker: Walker) -> SimulatedWalker:
+        """Return the body of a walker that goes on, or that of a new one, which starts now."""
         for body in self.walkers:
             if body.walker is walker:
                 return body
@@ -268,16 +276,17 @@ class Simulation:
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.
 
-        Without noise the size of the steps changes no result (with it, only which numbers are drawn), except where two
-        moving robots meet: there by the distance driven within a tick.
+        Without noise, results do not depend on the size of the steps, with one exception: where two moving robots meet,
+        by the distance that they drive in a tick of 10 ms (multi_robot.py). With noise, other numbers are drawn.
         """
         begin_ps, self.time_ps = self.time_ps, self.time_ps + to_ps(dt_s)
         self._spatial_hash = None
         self._connect_new_robots()
-        # Several bodies advance together, so that they can stop at one another; a walker also when alone, so that its
-        # path is recorded for one span at a time.
+        # 1. Several bodies advance together, so that they can stop at one another; a walker
+        #    does so even when it is alone, which bounds the recording of its path.
         bodies = self.bodies
         if len(bodies) > 1 or self.walkers:
             self._group.advance(bodies, begin_ps, self.time_ps)
+        # 2. A single robot; all others are at the end of the step already.
         for body in bodies:
             body.advance_to(self.time_ps)
