@@ -265,6 +265,8 @@ class KalmanFilter:
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
     ) -> Sequence[Outcome]:
         """Predict to the instant of each echo and update; see `process_each`."""
+        if not echoes:
+            return []
         if not self._direct:
             return process_each(self, encoders, poses, echoes)
         noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums

@@ -156,6 +156,7 @@ def test_passing_over_limits_changes_no_belief() -> None:
     poses: list[EncoderRow] = [(0.0, 0.0, 0.0, 0.0, 0.0), (1.0, 4.0, 0.0, 0.0, 0.0)]
     limits: list[NewEcho] = [(0.06 * (k + 1), k, 255.0) for k in range(4)]
     echoes: list[NewEcho] = [*limits, (0.3, 4, 37.0), (0.36, 5, 255.0)]
+    assert len(one.process(poses[0], poses, [])) == 0, "a row of a log without new echoes"
     outcomes = one.process(poses[0], poses, echoes)
     each = process_each(other, poses[0], poses, echoes)
     assert [code for code, *_ in outcomes] == [result[0] for result in each]
