@@ -53,10 +53,27 @@ def echo(x: float, y: float, axis: float, *outlines: tuple[tuple[float, float], 
     return min(found)
 
 
+def ray(x: float, y: float, axis: float, *outlines: tuple[tuple[float, float], ...]) -> float:
+    """Return the distance along the axis of a sonar to the nearest wall, 255 if none; outlines."""
+    found = [255.0]
+    sides = [side for corners in outlines or (ROOM,) for side in zip(corners, corners[1:] + corners[:1], strict=True)]
+    for (x1, y1), (x2, y2) in sides:
+        # (x, y) + distance (cos, sin) = (x1, y1) + fraction (x2 - x1, y2 - y1), by Cramer's rule.
+        along_x, along_y = x2 - x1, y2 - y1
+        slope = along_x * sin(axis) - along_y * cos(axis)
+        if slope == 0.0:
+            continue
+        distance = (along_x * (y1 - y) - along_y * (x1 - x)) / slope
+        fraction = (cos(axis) * (y1 - y) - sin(axis) * (x1 - x)) / slope
+        if distance > 0.0 and 0.0 <= fraction <= 1.0:
+            found.append(distance)
+    return min(found)
+
+
 def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in: Floats | None = None,
           outlines: tuple[tuple[tuple[float, float], ...], ...] = (ROOM,),
-          points: tuple[tuple[float, float], ...] = LAP) -> DriveLog:  # fmt: skip
-    """Return a lap with the random errors of `--odometry-noise 0.05,0.05,0.002`, or without any."""
+          points: tuple[tuple[float, float], ...] = LAP, rays: bool = False) -> DriveLog:  # fmt: skip
+    """Return a lap with the random errors of `--odometry-noise 0.05,0.05,0.002`, or without any; by cones or rays."""
     rng = np.random.default_rng(seed)
     path = true_path(points)
     # 1. Encoders: the true steps with noise, integrated from another origin.
@@ -81,7 +98,7 @@ def drive(seed: int = 0, *, quiet: bool = False, scale: float = 1.0, offsets_in:
     for (x, y, heading), sonar in zip(poses.tolist(), sonars.tolist(), strict=True):
         axis = heading + N150.sonar_angles_rad[sonar]
         ring = N150.sonar_ring_radius_in
-        found = echo(x + ring * cos(axis), y + ring * sin(axis), axis, *outlines)
+        found = (ray if rays else echo)(x + ring * cos(axis), y + ring * sin(axis), axis, *outlines)
         if found < 255.0:
             found += 0.0 if offsets_in is None else offsets_in[sonar]
             found += 0.0 if quiet else rng.normal(0.0, 0.01 * found)
