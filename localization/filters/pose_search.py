@@ -29,7 +29,7 @@ from localization.filters.sonar_ray import NOMAD
 from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
 
 LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
-"""Limits: "no nearer", which says little, and "nothing", which contradicts an expected echo."""
+"""Limits: "so near or nearer", which says little, and "nothing", which contradicts an expected echo."""
 CELL_STD: Final = 2.0 / 3.0
 """Standard deviation of a reading against that from the middle of its cell, in cells: half a diagonal, and more."""
 ODOMETRY_STD: Final = 0.05

@@ -93,7 +93,7 @@ class RangeNoise:
     place_var_in2
         Variance of what is the same for all readings from one pose: errors of the map, and of the shape of an echo.
     lowest_in, highest_in
-        Readings at or beyond these mean "no nearer" and "nothing".
+        Readings at or beyond these mean "so near or nearer" and "nothing".
     """
 
     range_std_relative: float = 0.01

@@ -66,8 +66,9 @@ class Refusal(IntEnum):
 
     NONE = 0
     LIMIT = 1
-    """The reading is a limit, or no number: it means "no nearer" or "nothing", not a range. The Kalman filter leaves it
-    out before the update; a filter that is still searching for its pose uses no reading, and returns this for each."""
+    """The reading is a limit, or no number: it means "so near or nearer" or "nothing", not a range. The Kalman filter
+    leaves it out before the update; a filter that is still searching for its pose uses no reading, and returns this for
+    each."""
     NO_WALL = 2
     """The map has nothing in this direction."""
     AMBIGUOUS_WALL = 3
@@ -187,7 +188,7 @@ class ReadingLimits(Protocol):
 
     @property
     def lowest_in(self) -> float:
-        """Return the reading that means "no nearer"."""
+        """Return the reading that means "so near or nearer"."""
         ...
 
     @property
