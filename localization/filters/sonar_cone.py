@@ -387,15 +387,6 @@ class ConeModel:
         return hypotheses(x, candidates, self)._replace(range_function=expect)
 
 
-    def toward(self, x: float, y: float, reflector: int) -> tuple[float, float, float]:
-        """Return range and unit vector (two numbers) from a sonar's face to a reflector: walls first, then vertices."""
-        if reflector < len(self.faces):
-            corner_x, corner_y, normal_x, normal_y, _ = self.faces[reflector]
-            return to_wall(x, y, corner_x, corner_y, normal_x, normal_y)[:3]
-        vertex_x, vertex_y, _ = self.vertices[reflector - len(self.faces)]
-        return to_vertex(x, y, vertex_x, vertex_y)
-
-
 # Many poses, in arrays.
 
 
