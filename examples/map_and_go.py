@@ -9,8 +9,8 @@ import sys
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.navigation.controller import RobotController
 from localization.navigation.mission import Mission
+from localization.navigation.pilot import RobotController
 from nclient import connect
 from worlds.io import load_world
 from worlds.robots import BODIES

@@ -18,7 +18,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.obstacles import ObstacleTracker
 from localization.navigation.pilot import Pilot
 from localization.navigation.roadmap import Planner

@@ -32,11 +32,10 @@ from localization.filters.registry import DEFAULT_METHOD, FINDER, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
 from localization.filters.sonar_ray import RaySonar, ray_sonar
 from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model
-from localization.live.background_search import filter_on_robot
-from localization.live.log import read_log, without_echo
+from localization.live.localizer import filter_on_robot
 from localization.live.publish import Publisher, build_message
-from localization.live.run import GroundTruth, Run, run_log
-from localization.navigation.limits import PoseSmoother
+from localization.live.run import GroundTruth, Run, read_log, run_log, without_echo
+from localization.navigation.control_law import PoseSmoother
 from localization.navigation.recovery import ContactDetector, MisfitDetector, StallDetector
 from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer

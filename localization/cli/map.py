@@ -8,6 +8,8 @@
 `nomad map TOOL --help` shows the options of a tool.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import math
@@ -18,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from localization.cli import arguments, map_edit, map_learn
+from localization.cli import arguments, map_learn
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
+from localization.mapping.adjust import TAPE_STD_IN, Adjustment, TapeLength, adjust_walls, label_walls
 from localization.mapping.aliases import Alias, AliasFinder, find_aliases
 from localization.mapping.observability import Observability, compute_observability
 from localization.mapping.output import MapRefused
@@ -39,7 +42,86 @@ from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_
 from worlds.robots import BODIES
 from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
-from worlds.world import World
+from worlds.world import Point, World
+
+# `nomad map edit`: adjust a learned map to lengths that were measured with a tape, and name its walls.
+
+def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `nomad map edit`."""
+    parser.description = (
+        "Adjust a learned map to lengths that were measured with a tape: its walls move by least squares, each "
+        "according to its standard deviation in the file. Name walls."
+    )
+    parser.set_defaults(refuse=parser.error)
+    parser.epilog = "example: nomad map edit room.toml --length 0,0 114.2,0 114.6 --out better.toml"
+    parser.add_argument("world", metavar="WORLD", help="map: a world file of nomad map learn")
+    parser.add_argument(
+        "--length", action="append", nargs=3, default=[], metavar=("X,Y", "X,Y", "IN"), dest="lengths",
+        help="the distance of two ends of walls, given by points near them, in in; repeatable; give "
+             "all lengths of a map at once, so that each counts once",
+    )  # fmt: skip
+    parser.add_argument(
+        "--label", action="append", nargs=2, default=[], metavar=("X,Y", "NAME"), dest="labels",
+        help="the name of the wall nearest to a point, within 6 in; an empty one removes it; repeatable",
+    )  # fmt: skip
+    add_value(parser, "--tape-std", "IN", arguments.parse_positive,
+              "standard deviation of the measured lengths in inches", TAPE_STD_IN)
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
+    add_flag(parser, "--json", "print only the result, as JSON, on stdout")
+
+
+def run_edit(options: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
+    # 1. Report wrong lengths and an unwritable file before the work.
+    tapes = [_tape_length(words, options) for words in options.lengths]
+    labels = [_label(words, options) for words in options.labels]
+    if not tapes and not labels:
+        options.refuse("nothing to change: give --length or --label")
+    arguments.check_writable(options.out)
+    world = load_world(options.world)
+    named = label_walls(world, labels)
+    found = adjust_walls(named, tapes) if tapes else Adjustment(named, 0.0, ())
+    # 2. The file states how it was made. Reading it again checks that its starts are still in free space.
+    changes = [f"{tape.length_in:g} in" for tape in tapes] + [f"label {name!r}" for _, name in labels]
+    text = format_world(found.world, f"nomad map edit {Path(options.world).name}: {', '.join(changes)}")
+    parse_world(text, str(options.out), world.name)
+    with write_errors_as(OutputFileError, options.out):
+        options.out.write_text(text, encoding="utf-8")
+    print(json.dumps(as_json(found)) if options.json else _summary(found, tapes, options.out))
+    return 0
+
+
+def as_json(found: Adjustment) -> dict[str, object]:
+    """Return the result as plain data."""
+    return {"moved_in": found.moved_in, "residuals_in": list(found.residuals_in)}
+
+
+def _label(words: list[str], options: argparse.Namespace) -> tuple[Point, str]:
+    try:
+        return arguments.parse_point(words[0]), words[1].strip()
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        options.refuse(f"--label {' '.join(words)}: {error}")
+        raise
+
+
+def _tape_length(words: list[str], options: argparse.Namespace) -> TapeLength:
+    first, second, length = words
+    try:
+        ends = arguments.parse_point(first), arguments.parse_point(second)
+        return TapeLength(ends, arguments.parse_positive(length), options.tape_std)
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        options.refuse(f"--length {' '.join(words)}: {error}")
+        raise
+
+
+def _summary(found: Adjustment, tapes: list[TapeLength], out: Path) -> str:
+    lines = [
+        f"{tape.length_in:g} in: {tape.length_in + residual:.2f} in the map now"
+        for tape, residual in zip(tapes, found.residuals_in, strict=True)
+    ]
+    moved = f"ends moved by at most {found.moved_in:.2f} in: {out}" if tapes else str(out)
+    return "\n".join([*lines, moved])
+
 
 ALIKE = "look alike"
 MAX_SHOWN_IN = 3.0
@@ -146,7 +228,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_tool("update", "compare a map with a drive: moved, missing and new walls, an error of scale")
     )
     map_learn.add_arguments(add_tool("learn", "make a map of the room by driving, or from a recorded drive"))
-    map_edit.add_arguments(add_tool("edit", "adjust a learned map to lengths measured with a tape"))
+    add_edit_arguments(add_tool("edit", "adjust a learned map to lengths measured with a tape"))
     _add_import(add_tool("import", "make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
     _add_export(add_tool("export", "write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
@@ -205,7 +287,7 @@ def run(options: argparse.Namespace) -> int:
     if options.tool == "update":
         return _update(options)
     if options.tool == "edit":
-        return map_edit.run(options)
+        return run_edit(options)
     world = load_world(options.world)
     match options.tool:
         case "simplify":

@@ -24,9 +24,8 @@ from localization.cli import arguments
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
 from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model, sonar_model_of_address
-from localization.live.log import read_log, without_echo
 from localization.live.publish import Publisher
-from localization.live.run import GroundTruth
+from localization.live.run import GroundTruth, read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
@@ -35,7 +34,7 @@ from localization.mapping.measurements import DriveCollector, DriveLog, drive_of
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
 from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from localization.plot import check_picture
 from nclient import Robot
 from nclient.common.arguments import add_value

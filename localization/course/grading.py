@@ -3,11 +3,20 @@
 The notebook as a whole is not run. Of its code cells only imports, definitions and simple assignments are executed:
 those that call nothing, or only mathematics and what the student has defined. Drives and pictures are left out, which
 makes grading fast.
+
+The process that executes the functions of one submission, with limits; `grading` starts it.
+
+    python -m localization.course.grading FILE SEED SECONDS MEGABYTES TASK...
+
+Prints a JSON line per task. What the student's code prints goes nowhere. The limits protect from mistakes, not from
+attacks.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
+import contextlib
 import json
 import os
 import re
@@ -17,13 +26,100 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
+from types import FrameType
 from typing import Any, Final
 
-from localization.course.tasks import Task, all_tasks
+from localization.course.tasks import Task, Verdict, all_tasks, verdict
+from nclient.common.arguments import add_flag, add_value, number, whole_number
+from nclient.common.process import ExitCode
 from nclient.errors import NomadError
+
+MAX_TEXT: Final = 2000
+"""Characters of an explanation: an exception may quote a whole array."""
+
+
+class TimeLimit(BaseException):
+    """The time of a task is over. No Exception: `except Exception` of a student must not catch it."""
+
+
+def _stop(_number: int, _frame: FrameType | None) -> None:
+    raise TimeLimit
+
+
+@contextlib.contextmanager
+def _time_limit(seconds: float) -> Iterator[None]:
+    signal.signal(signal.SIGALRM, _stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def load(path: Path, limit_s: float) -> tuple[dict[str, Any], str]:
+    """Return the names that a submission defines, and the first error."""
+    selected, errors = statements(read_cells(path))
+    values: dict[str, Any] = {"__name__": "submission"}
+    for node in selected:
+        try:
+            with _time_limit(limit_s):
+                exec(compile(ast.Module([node], []), str(path), "exec"), values)
+        except (Exception, SystemExit, TimeLimit) as error:  # noqa: BLE001  whatever a student writes
+            # Values of drives are missing, since drives are not executed: no mistake of the student.
+            if isinstance(error, NameError) and not isinstance(node, ast.FunctionDef | ast.ClassDef):
+                continue
+            errors.append(f"Line {node.lineno} of a cell raised {type(error).__name__}: {error}")
+    return values, errors[0] if errors else ""
+
+
+def judge(values: dict[str, Any], name: str, seed: int, limit_s: float, error: str) -> Verdict:
+    """Return the verdict on one task."""
+    answer = values.get(name)
+    if not callable(answer):
+        return Verdict(name, False, f"There is no function {name}. {error}".strip())
+    try:
+        with _time_limit(limit_s):
+            return verdict(all_tasks()[name], answer, seed)
+    except TimeLimit:
+        return Verdict(name, False, f"It takes longer than {limit_s:g} s: is there a loop without an end?")
+    except (Exception, SystemExit, KeyboardInterrupt) as raised:  # noqa: BLE001  a result of any type may do so
+        return Verdict(name, False, f"The check failed with {type(raised).__name__}: {raised}")
+
+
+def limit_memory(megabytes: int) -> None:
+    """Limit the memory of this process."""
+    import resource  # not on Windows, where `nomad grade` is not offered
+
+    resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+
+
+def main(words: list[str]) -> int:
+    """Judge the tasks, and print a line for each."""
+    file, seed, limit_s, megabytes, *names = words
+    # Results have a copy of stdout; the student's code gets none.
+    results = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    all_tasks()
+    process = os.getpid()
+    limit_memory(int(megabytes))
+    values, error = load(Path(file), float(limit_s))
+    for name in names:
+        found = judge(values, name, int(seed), float(limit_s), error)
+        # A copy of this process, by os.fork in an answer, ends: the first one reports.
+        if os.getpid() != process:
+            os._exit(0)
+        print(json.dumps({"name": name, "passed": found.passed, "text": found.text[:MAX_TEXT]}), file=results)
+    results.flush()
+    # Threads and handlers of the student's code do not delay the end.
+    os._exit(0)
+
 
 DEFAULT_SEED: Final = 20_260
 """Other arguments than in the notebooks, whose seed is 0."""
@@ -110,7 +206,7 @@ def grade(file: Path, seed: int = DEFAULT_SEED, limits: Limits | None = None) ->
 def _run(file: Path, seed: int, limits: Limits, tasks: list[Task]) -> tuple[dict[str, tuple[bool, str]], str]:
     """Return verdicts by task, and how the process ended."""
     words = [str(file), str(seed), str(limits.seconds), str(limits.megabytes), *(task.name for task in tasks)]
-    command = [sys.executable, "-m", "localization.course.worker", *words]
+    command = [sys.executable, "-m", "localization.course.grading", *words]
     # Threads of numerical libraries reserve memory, and would wait for one another.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
     limit_s = START_S + 2 * limits.seconds * (len(tasks) + 1)
@@ -233,3 +329,88 @@ def tasks_of(path: Path) -> list[Task]:
         raise SubmissionError(f"{path}: none of the functions of the course is defined in it")
     notebook = counts.most_common(1)[0][0]
     return [task for task in all_tasks().values() if task.notebook == notebook]
+
+
+CHECKPOINTS: Final = ".ipynb_checkpoints"
+"""Jupyter's copies of notebooks."""
+WIDTH: Final = 100
+MAX_SEED: Final = 2**31 - 1
+
+
+class GradeCommand:
+    """Grade notebooks of the course: call the students' functions with hidden arguments.
+
+        nomad grade 01-encoders.ipynb               points of each task, and what is wrong
+        nomad grade submissions/ --seed 7 --json    all notebooks of a folder, as JSON
+
+    Each notebook is graded in a process of its own with limits of time and memory. They protect from mistakes, not from
+    attacks: grade notebooks that you do not trust in a container. Exit code 1: a file is no notebook of the course.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        parser.add_argument("notebooks", nargs="+", type=Path, metavar="NOTEBOOK",
+                            help="notebook, or folder of notebooks")
+        add_value(parser, "--seed", "N", whole_number("a seed", 0, MAX_SEED),
+                  "seed of the arguments; notebooks use 0 (default: a fixed other one)", DEFAULT_SEED)
+        add_value(parser, "--time-limit", "S", number("a number of seconds", 0.1, 600.0), "seconds per task", 10.0)
+        add_value(parser, "--memory-limit", "MB", whole_number("a number of megabytes", 256),
+                  "memory per notebook", 2048)
+        add_value(parser, "--jobs", "N", whole_number("a number of processes", 1, 64), "notebooks at a time",
+                  os.cpu_count() or 1)
+        add_flag(parser, "--json", "print JSON")
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Run the command and return its exit code."""
+        files = [file for path in options.notebooks for file in find_notebooks(path)]
+        limits = Limits(options.time_limit, options.memory_limit)
+        grades = []
+        with ThreadPoolExecutor(options.jobs) as pool:
+            # Results appear in the order of the files, as soon as they are there.
+            for each in pool.map(lambda file: grade(file, options.seed, limits), files):
+                grades.append(each)
+                if not options.json:
+                    print(format_grade(each), flush=True)
+        if options.json:
+            print(json.dumps({"seed": options.seed, "submissions": [each.to_json() for each in grades]}))
+        elif len(grades) > 1:
+            print(format_summary(grades))
+        return ExitCode.FAILED if any(each.error for each in grades) else ExitCode.DONE
+
+
+def find_notebooks(path: Path) -> list[Path]:
+    """Return a file, or the notebooks in a folder and those below it. Raises SubmissionError if there are none."""
+    if not path.is_dir():
+        return [path]
+    found = [file for file in sorted(path.rglob("*.ipynb")) if CHECKPOINTS not in file.parts]
+    if not found:
+        raise SubmissionError(f"{path}: there is no notebook in this folder; expected files that end in .ipynb")
+    return found
+
+
+def format_grade(grade: Grade) -> str:
+    """Return a grade as a table: a row per task, with an explanation."""
+    if grade.error:
+        return f"{grade.error}\n"
+    width = max(len(mark.task.name) for mark in grade.marks)
+    lines = [f"{grade.file}: {grade.points} of {grade.maximum} points"]
+    for mark in grade.marks:
+        first, *others = wrap(mark.text, WIDTH - width - 9) or [""]
+        lines.append(f"  {mark.task.name:{width}}  {mark.points}/{mark.task.points}  {first}".rstrip())
+        lines += [" " * (width + 9) + line for line in others]
+    return "\n".join(lines) + "\n"
+
+
+def format_summary(grades: list[Grade]) -> str:
+    """Return a table with a row per submission."""
+    width = max(len(str(each.file)) for each in grades)
+    return "\n".join(
+        f"{each.file!s:{width}}  " + (f"{each.points:3} of {each.maximum}" if not each.error else "not graded")
+        for each in grades
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

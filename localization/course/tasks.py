@@ -30,7 +30,7 @@ Mistakes = Sequence[tuple[Any, str]]
 
 TRIES: Final = 12
 """Calls of an answer by most checks."""
-MODULES: Final = ("sensors", "estimation", "particles", "surveying")
+MODULES: Final = ("sensors", "estimation")
 MAX_SHOWN: Final = 6
 """Longer arrays are abbreviated in messages."""
 

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.arguments import make_folder
-from localization.experiments import baselines, corridor, disturbed, live, mapping, output
+from localization.experiments import baselines, corridor, disturbed, execution, live, mapping
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
-from localization.experiments.execution import drive, drive_on_cluster, progress
+from localization.experiments.execution import NO_PICTURES, add_shared, drive, drive_on_cluster, progress, table
 from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
-from localization.experiments.output import NO_PICTURES, add_shared, table
 from nclient.common.arguments import Parser
 from nclient.common.hints import suggest
 from nclient.common.process import ExitCode
@@ -128,7 +127,7 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
     numbers.write_text(text + "\n", encoding="utf-8")
     written = [numbers]
     if options.pictures:
-        written += output.draw(figure, setup, result.tracks, options.out)
+        written += execution.draw(figure, setup, result.tracks, options.out)
     print(text if options.json else table(figure, setup, summary), flush=True)
     print(f"  written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 

@@ -11,7 +11,7 @@ from statistics import mean
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from localization.experiments import output
+from localization.experiments import execution
 from localization.experiments.execution import progress
 from nclient.common.arguments import Parser
 from nclient.common.hints import install_command
@@ -88,7 +88,7 @@ def table(scores: Sequence[Score]) -> str:
          f"{score.duration_s:.0f}"]
         for score in scores
     ]  # fmt: skip
-    return output.text_table(lines)
+    return execution.text_table(lines)
 
 
 def _parser() -> Parser:
@@ -99,8 +99,8 @@ def _parser() -> Parser:
         "by a contact or with a wrong estimate.",
         epilog="example: python -m localization.experiments baselines --episodes 20 --environments GoTo",
     )
-    parser.add_argument("--episodes", type=output.positive, default=20, metavar="N",
+    parser.add_argument("--episodes", type=execution.positive, default=20, metavar="N",
                         help="episodes of each policy (default: 20)")  # fmt: skip
-    output.add_choice(parser, "--environments", ENVIRONMENTS, list(ENVIRONMENTS), "environments")
+    execution.add_choice(parser, "--environments", ENVIRONMENTS, list(ENVIRONMENTS), "environments")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     return parser

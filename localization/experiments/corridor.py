@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments.output import text_table
+from localization.experiments.execution import text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import HEADING, Floats, add, difference, independent
 from localization.filters.health import HealthStatus
@@ -29,8 +29,7 @@ from localization.filters.odometry import process_variance, relative_step, with_
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.filters.sonar_ray import RingBody
-from localization.live.log import LogRow, new_echoes
-from localization.live.run import Run, run_log
+from localization.live.run import LogRow, Run, new_echoes, run_log
 from localization.plot import check_picture, save
 from nclient.common.arguments import Parser
 from nclient.errors import LogFileError

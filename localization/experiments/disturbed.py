@@ -24,17 +24,20 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import START_STD, make_folder
-from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
-from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
-from localization.experiments.lost_trial import GOALS, MARGIN_IN, POSITIONS, START, RandomExplorer, free_positions
-from localization.experiments.output import (
+from localization.experiments.execution import (
+    ResultCache,
     add_choice,
     add_execution_options,
     add_output,
+    code_hash,
     executor_for,
     positive,
+    progress,
+    run_cached,
     text_table,
 )
+from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
+from localization.experiments.lost import GOALS, MARGIN_IN, POSITIONS, START, RandomExplorer, free_positions
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent, nees
 from localization.filters.health import HealthStatus
@@ -43,7 +46,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
-from localization.navigation.limits import VelocityCommand
+from localization.navigation.control_law import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
 from nclient.common.arguments import Parser

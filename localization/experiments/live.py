@@ -20,9 +20,19 @@ import numpy as np
 
 from localization.cli.arguments import make_folder
 from localization.experiments import live_trial
-from localization.experiments.execution import ResultCache, Tally, code_hash, progress, run_cached
+from localization.experiments.execution import (
+    ResultCache,
+    Tally,
+    add_choice,
+    add_shared,
+    code_hash,
+    executor_for,
+    positive,
+    progress,
+    run_cached,
+    text_table,
+)
 from localization.experiments.live_trial import Cell, Trial, TrialResult
-from localization.experiments.output import add_choice, add_shared, executor_for, positive, text_table
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.plot import save

@@ -29,8 +29,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.experiments.execution import progress
-from localization.experiments.output import add_choice, add_shared, executor_for, text_table
+from localization.experiments.execution import add_choice, add_shared, executor_for, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
@@ -51,7 +50,7 @@ from localization.mapping.measurements import (
 )
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.survey import survey
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
 from nclient import connect
 from nclient.common.arguments import Parser

@@ -17,16 +17,15 @@ from typing import Any, Final
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments import output
+from localization.experiments import execution
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
-from localization.navigation.controller import Observation, RobotController
 from localization.navigation.mission import Mission, run_mission
-from localization.navigation.mission_settings import Settings
 from localization.navigation.path import total_length_in, wall_distances
+from localization.navigation.pilot import Observation, RobotController, Settings
 from localization.navigation.roadmap import Roadmap
 from nclient.common.arguments import Parser, add_value
 from nclient.robot import Robot
@@ -228,7 +227,7 @@ def main(arguments: Sequence[str]) -> None:
     # 2. Simulate what the cache does not have.
     cache = drive_cache(options.out / "drives", code_hash())
     with progress(len(requested), "plan", "drives") as tally:
-        results = run_cached(requested, cache, output.executor_for(drive, options), tally)
+        results = run_cached(requested, cache, execution.executor_for(drive, options), tally)
     # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
@@ -279,7 +278,7 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
     lines = [["world", *(title for title, _, _ in _COLUMNS)]]
     lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
-    text = [output.text_table(lines)]
+    text = [execution.text_table(lines)]
     text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives
@@ -296,9 +295,9 @@ def _parser() -> argparse.ArgumentParser:
         "are cached.",
         epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
     )
-    add_value(parser, "--pairs --seeds", "N", output.positive, "number of drives in each world", 100)
-    output.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
-    output.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
-    output.add_execution_options(parser)
-    output.add_output(parser, Path("out/experiments"), "world")
+    add_value(parser, "--pairs --seeds", "N", execution.positive, "number of drives in each world", 100)
+    execution.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
+    execution.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
+    execution.add_execution_options(parser)
+    execution.add_output(parser, Path("out/experiments"), "world")
     return parser

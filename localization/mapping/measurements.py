@@ -30,7 +30,7 @@ from localization.filters.odometry import (
     step_jacobians,
 )
 from localization.filters.sonar_cone import ConeSonar
-from localization.live.log import LogRow, new_echoes
+from localization.live.run import LogRow, new_echoes
 from localization.live.sensor_input import FiringSchedule, FiringTime
 from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import get_model

@@ -1,6 +1,6 @@
 """Missions from files: lists of steps in TOML, and programs in Python.
 
-    title = "Rounds"              all settings are optional (mission_settings.py)
+    title = "Rounds"              all settings are optional (`Settings`)
     map = "several_walls"
     time_limit_s = 600
     fence_in = [[-10, -10], [100, -10], [100, 100], [-10, 100]]      or _cm, _m
@@ -39,7 +39,7 @@ from typing import Annotated, Any, Final
 from msgspec import UNSET, Meta, UnsetType
 
 from localization.navigation.mission import Condition, Mission
-from localization.navigation.mission_settings import (
+from localization.navigation.pilot import (
     TIME_LIMIT_S,
     LostPolicy,
     OnLost,

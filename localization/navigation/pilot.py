@@ -7,25 +7,315 @@
 All goals but the last are waypoints that are passed within `within_in`; at the last one the robot stops and turns to
 the heading. A pilot has no clock but that of the estimates, and all its waits are limited. An estimate that is LOST
 ends it; recovery is the caller's task.
+
+Settings of a mission, and the checks of the arguments of steps.
+
+Arguments of a Python program are checked against the types of files (worlds.schema), so that both get the same error
+messages, for example "go_to: x_in: expected a length, a number, found the text '15'". All errors are MissionFileError:
+which step or settings, which argument, what was expected and what was found.
+
+A robot with its estimate, one control period at a time: command in, estimate and obstacles out.
+
+    period(command):    drive ──> wait for the rest of PERIOD_S ──> refresh ──> localizer ──> obstacles ──> observers
+
+Waiting is a parameter; the time is the robot's clock. Observers are called in every period and may end it by raising.
+Leaving the controller's `with` block stops the robot.
 """
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from math import hypot, inf, pi
-from typing import Final, NamedTuple
+from os import PathLike, fspath
+from types import MappingProxyType, TracebackType
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 import numpy as np
+from msgspec import Meta
 
-from localization.filters.belief import Floats
+from localization.filters.base import Filter, LocalizationConfig
+from localization.filters.belief import Belief, Floats
 from localization.filters.health import HealthStatus
+from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
+from localization.live.publish import Publisher, build_message
+from localization.live.run import GroundTruth
 from localization.live.sensor_input import SensorInput
-from localization.navigation.limits import STAND, AxisLimits, BackOff, VelocityCommand, allowed_speed_fraction
-from localization.navigation.obstacles import ObstacleTracker, position_std_in
-from localization.navigation.path import angle_difference, wall_distances
-from localization.navigation.path_follower import TURNED_RAD, PathFollower, turn_command
-from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner, Point
+from localization.navigation.control_law import (
+    MODEL_LIMITS,
+    STAND,
+    AxisLimits,
+    BackOff,
+    StateGapLimiter,
+    VelocityCommand,
+    allowed_speed_fraction,
+)
+from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, position_std_in, update_obstacles
+from localization.navigation.path import TURNED_RAD, PathFollower, angle_difference, turn_command, wall_distances
+from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner
+from localization.navigation.waypoints import (
+    COMMAND_TIMEOUT_S,
+    Speeds,
+    drive_unless_held,
+    start_localizer,
+    wait_for_next_state,
+)
+from nclient.common.validation import InvalidValue, Text, convert, describe_value, field_types, reported_as
+from nclient.errors import BumperHit, MissionFileError, NomadError
+from nclient.robot import Robot
+from nclient.state import RobotState
+from worlds.robots import Body
+from worlds.schema import MAX_COORDINATE_IN, Angle, LengthIn, Point, PointsIn, points, require_outline
+
+__all__ = ["OnLost", "Point", "Settings"]
+
+MIN_TIME_S, MAX_TIME_S = 0.1, 86_400.0
+MIN_WITHIN_IN, MAX_WITHIN_IN = 0.1, 100.0
+MAX_RETRIES, MAX_ROUNDS = 100, 10_000
+MAX_TURN_DEG: Final = 3600.0
+"""Ten revolutions: a larger angle is nearly always a mistake, such as a wrong unit."""
+# Seconds of the robot's clock, for missions that state no limit.
+TIME_LIMIT_S: Final = 600.0
+
+Seconds = Annotated[float, Meta(ge=0.0, le=MAX_TIME_S)]
+TimeLimit = Annotated[float, Meta(ge=MIN_TIME_S, le=MAX_TIME_S)]
+TurnAngle = Annotated[float, Meta(ge=-MAX_TURN_DEG, le=MAX_TURN_DEG, description="angle to turn by, degrees")]
+Within = Annotated[
+    float, Meta(ge=MIN_WITHIN_IN, le=MAX_WITHIN_IN, description="distance at which the goal is reached, inches")
+]
+Retries = Annotated[int, Meta(ge=0, le=MAX_RETRIES, description="number of retries")]
+Rounds = Annotated[int, Meta(ge=1, le=MAX_ROUNDS, description="number of rounds")]
+
+
+class OnLost(Enum):
+    """Behaviour when the estimate is LOST, for at most lost_s."""
+
+    STOP = "stop"
+    """Stand until the robot is localized again."""
+    SEARCH = "search"
+    """Turn, then drive where there is free space, until the robot is localized again."""
+    GIVE_UP = "give_up"
+    """End the mission."""
+
+
+LostPolicy = Annotated[OnLost, Meta(extra_json_schema={"enum": [policy.value for policy in OnLost]})]
+MaybeText = Annotated[str, Meta(pattern=r"^$|\S", title="a text")]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Settings of a mission.
+
+    Attributes
+    ----------
+    title
+        Title of the report.
+    map
+        Walls: a shipped world or a TOML file; "" if given on the command line.
+    time_limit_s
+        Time limit of the mission, seconds of the robot's clock.
+    fence_in
+        Corners of a polygon that the robot must stay inside; empty for no fence.
+    on_lost, lost_s
+        Behaviour when the estimate is LOST (or its name), and for how long.
+
+    Raises
+    ------
+    MissionFileError
+        If a value is wrong; the message names it.
+    """
+
+    title: MaybeText = ""
+    map: MaybeText = ""
+    time_limit_s: TimeLimit = TIME_LIMIT_S
+    fence_in: tuple[Point, ...] = ()
+    on_lost: LostPolicy = OnLost.STOP
+    lost_s: TimeLimit = 60.0
+
+    def __post_init__(self) -> None:
+        # Settings of programs are checked against the types of files: one set of limits and messages.
+        kinds = field_types(Settings) | {"fence_in": points(3).type_for(MAX_COORDINATE_IN)}
+        with reported_as(MissionFileError, "Settings"):
+            for key, kind in kinds.items():
+                value = to_plain_value(getattr(self, key))
+                # The dataclass is frozen, so checked values are set past its __setattr__.
+                object.__setattr__(self, key, () if key == "fence_in" and value == [] else convert(value, kind, key))
+            if self.fence_in:
+                require_outline("fence_in", self.fence_in)
+
+
+# arguments of steps
+
+
+def check_arguments(step: str, **arguments: object) -> None:
+    """Check the arguments of a step; optional ones may be None. Raises MissionFileError."""
+    with reported_as(MissionFileError, step):
+        for key, argument in arguments.items():
+            value = to_plain_value(argument)
+            if key == "condition":
+                if not callable(value):
+                    raise InvalidValue(f"expected a function of what is seen, found {describe_value(value)}", key)
+            # A time limit that a program may have computed: inf means none.
+            elif not ((value is None and (step, key) in _OPTIONAL) or (key == "limit_s" and value == inf)):
+                convert(value, _ARGUMENTS[key], key)
+
+
+def read_points(step: str, points_in: object) -> tuple[Point, ...]:
+    """Return one or more points as plain numbers. Raises MissionFileError."""
+    with reported_as(MissionFileError, step):
+        points: tuple[Point, ...] = convert(to_plain_value(points_in), PointsIn, "points_in")
+        return points
+
+
+def to_plain_value(value: object) -> object:
+    """Return a value as a file would contain it: lists for collections and arrays, Python numbers, text for paths."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Collection) and not isinstance(value, str | bytes | Mapping):
+        return [to_plain_value(one) for one in value]
+    if isinstance(value, Enum):
+        return value.value
+    return fspath(value) if isinstance(value, PathLike) else value
+
+
+_OPTIONAL: Final = frozenset({("go_to", "heading_deg"), ("turn", "heading_deg"), ("turn", "by_deg")})
+_ARGUMENTS: Final[Mapping[str, Any]] = MappingProxyType({
+    "x_in": LengthIn, "y_in": LengthIn, "heading_deg": Angle, "by_deg": TurnAngle, "within_in": Within,
+    "seconds": Seconds, "words": Text, "rounds": Rounds, "limit_s": Seconds, "retries": Retries,
+})  # fmt: skip
+"""Type of every argument of a step, except points and conditions."""
+
+
+class Observation(NamedTuple):
+    """One period: the estimate and the robot's state."""
+
+    estimate: Estimate
+    state: RobotState
+
+
+Observer = Callable[[Observation], None]
+Wait = Callable[[float], None]
+
+
+class RobotController:
+    """A robot localized from an initial belief and commanded one period at a time.
+
+    Parameters
+    ----------
+    robot : Robot
+    config : LocalizationConfig
+        Map, robot, sensor and noise models.
+    body : Body
+    belief : Belief
+        Initial belief.
+    wait : callable
+        `wait(seconds)` lets time of the robot pass.
+    method : str or Filter
+        Name of a filter, or a filter.
+    speed_in_s : float
+        Top speed.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: LocalizationConfig,
+        body: Body,
+        belief: Belief,
+        wait: Wait,
+        method: str | Filter = DEFAULT_METHOD,
+        speed_in_s: float = Speeds().translation_in_s,
+    ) -> None:
+        walls = np.asarray(config.walls, dtype=np.float64)
+        self.robot, self.body, self._wait = robot, body, wait
+        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, Speeds().steering_rad_s)
+        self.planner = Planner(walls, body.radius_in)
+        self.obstacles = ObstacleTracker(walls, body.sonar_ring_radius_in)
+        self.observers: list[Observer] = []
+        robot.set_timeout(COMMAND_TIMEOUT_S)
+        self._gap_limiter = StateGapLimiter()
+        self._localizer = start_localizer(robot, config, belief, method)
+        state = robot.refresh()
+        self.last = Observation(self._localizer.update(state), state)
+        """The observation of the last period."""
+        self._moved_s = self.clock_s
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with contextlib.suppress(*(() if error is None else (NomadError,))):
+            self.robot.stop()
+
+    @property
+    def clock_s(self) -> float:
+        """The robot's clock at the last estimate."""
+        return self.last.estimate.clock_s
+
+    @property
+    def unmoved_s(self) -> float:
+        """Time for which the robot has been commanded to move and stands without contact."""
+        return self.clock_s - self._moved_s
+
+    def add_fence(self, edges: Floats) -> None:
+        """Treat edges (k, 4) as walls in all future plans."""
+        self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
+
+    def period(self, command: VelocityCommand = STAND) -> Observation:
+        """Drive for one period, slower if states arrive far apart, and return the observation at its end.
+
+        Errors of the robot and of observers are propagated; contacts are not errors here.
+        """
+        # 1. Command and wait.
+        before = self.last.state
+        after, fraction = before, self._gap_limiter.speed_fraction(self.clock_s)
+        with contextlib.suppress(BumperHit):
+            after = drive_unless_held(
+                self.robot,
+                translation_in_s=fraction * command.translation_in_s,
+                steering_rad_s=fraction * command.steering_rad_s,
+            )
+        # 2. Estimate.
+        self.last = self._observe(wait_for_next_state(self.robot, before, after, self._wait))
+        if command == STAND or self.last.state.touching or _has_moved(before, self.last.state):
+            self._moved_s = self.clock_s
+        # 3. Notify.
+        for observer in self.observers:
+            observer(self.last)
+        return self.last
+
+    def _observe(self, state: RobotState) -> Observation:
+        ring = self.body.ring
+        angles, shortest_in = ring.angles_rad, ring.plain(ring.min_range_in)
+        seen = filter_unmapped(self.obstacles, self.last.estimate, state, angles, shortest_in)
+        estimate = self._localizer.update(seen)
+        update_obstacles(self.obstacles, estimate, state, angles)
+        return Observation(estimate, state)
+
+
+def _has_moved(before: RobotState, after: RobotState) -> bool:
+    return (before.x_in, before.y_in, before.steering_rad) != (after.x_in, after.y_in, after.steering_rad)
+
+
+class ProgressPublisher:
+    """Observer that shows the mission on the page of an nserver (`--publish URL` of `nomad go` and `nomad mission`).
+
+    Waypoints set on the page are ignored, because the mission has its own. `goals` are shown as waypoints and may
+    change; the ground truth is shown beside the estimate where it is available.
+    """
+
+    def __init__(self, publisher: Publisher, ground_truth: GroundTruth, goals: Sequence[Point]) -> None:
+        self._publisher, self._ground_truth, self._goals = publisher, ground_truth, goals
+
+    def __call__(self, observation: Observation) -> None:
+        """Publish the estimate, the odometry and the ground truth of this period."""
+        moment = self._ground_truth.moment(*observation)
+        self._publisher.publish(build_message(self._ground_truth.robot_id, moment, self._goals))
 
 
 class Ending(Enum):

@@ -36,7 +36,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.navigation.limits import AxisLimits
+from localization.navigation.control_law import AxisLimits
 from localization.navigation.path import (
     SLACK_IN,
     PathElement,

@@ -20,8 +20,16 @@ from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.run import GroundTruth, Run
 from localization.live.sensor_input import restart_ring
-from localization.navigation.control_law import ControlGains, distance_to, next_step, slow_for_turn
-from localization.navigation.limits import STAND, PoseSmoother, StateGapLimiter, VelocityCommand
+from localization.navigation.control_law import (
+    STAND,
+    ControlGains,
+    PoseSmoother,
+    StateGapLimiter,
+    VelocityCommand,
+    distance_to,
+    next_step,
+    slow_for_turn,
+)
 from localization.navigation.recovery import RecoveryBehavior
 from nclient.errors import NomadError, RobotHeld
 from nclient.robot import Robot
@@ -55,7 +63,7 @@ class Speeds:
 
 
 class Controller(Protocol):
-    """Decides once per period how to drive: a Navigator, or the tasks of a calibration run (umbmark.py)."""
+    """Decides once per period how to drive: a Navigator, or the tasks of a calibration run (cli/calibrate.py)."""
 
     passed: int
     """Number of waypoints reached, or of tasks done."""

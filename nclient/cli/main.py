@@ -1,6 +1,6 @@
 """The command `nomad`: finds its subcommands by entry points and runs the one that is named.
 
-    nomad COMMAND ...    COMMAND: an entry point of the group `nomad.commands`, a module with
+    nomad COMMAND ...    COMMAND: an entry point of the group `nomad.commands`, a module, or a class in one, with
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
     nomad help [COMMAND] the same as --help, or as COMMAND --help
 
@@ -35,7 +35,7 @@ HELP = "help"
 
 
 class Subcommand(Protocol):
-    """Interface of a subcommand's module."""
+    """Interface of a subcommand: a module, or a class with static methods."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
@@ -117,8 +117,10 @@ def whole_parser() -> Parser:
 
 
 def _description(command: Subcommand) -> dict[str, Any]:
-    # The module's docstring is the help text, up to its rules.
-    about = re.split(r"\s*\bRules:", command.__doc__ or "", maxsplit=1)[0]
+    import inspect  # here: the list of commands does without
+
+    # The docstring is the help text, up to its rules.
+    about = re.split(r"\s*\bRules:", inspect.getdoc(command) or "", maxsplit=1)[0]
     return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
 
 
@@ -154,7 +156,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
 
 
 def summary(point: EntryPoint) -> str:
-    """Return the first docstring line of a subcommand's module without importing it; "" if it cannot be read."""
+    """Return the first docstring line of a subcommand without importing its module; "" if it cannot be read."""
     # Importing all subcommands would take seconds, and fail without their extras.
     try:
         spec = importlib.util.find_spec(point.module)
@@ -163,7 +165,9 @@ def summary(point: EntryPoint) -> str:
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return ""
     source = importlib.util.decode_source(Path(spec.origin).read_bytes())
-    docstring = ast.get_docstring(ast.parse(source)) or ""
+    tree = ast.parse(source)
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    docstring = ast.get_docstring(classes.get(point.attr, tree)) or ""
     return docstring.partition("\n")[0]
 
 

@@ -62,7 +62,7 @@ class TimeSeries:
     first line     names, in any order: time_s, x_in, heading_deg, sonar_0_mm ...
     other lines    numbers; an empty field has no value; empty lines and lines that begin with # do not count
 
-    `nomad convert` leaves out columns that it does not know, a log for the filter (localization/live/log.py) refuses
+    `nomad convert` leaves out columns that it does not know, a log for the filter (localization/live/run.py) refuses
     them.
 
     Parameters

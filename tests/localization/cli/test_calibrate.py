@@ -103,7 +103,7 @@ def test_default_laps_drive_until_precision_is_reached(
     assert "drift" in line
     assert "use more --laps" in line
     assert ": 2 laps in each direction" in out.read_text()
-    monkeypatch.setattr("localization.navigation.umbmark.REQUIRED_PRECISION", 10.0)
+    monkeypatch.setattr("localization.cli.calibrate.REQUIRED_PRECISION", 10.0)
     assert main.main(["calibrate", address, *words, "--json"]) == 0
     text = json.loads(capsys.readouterr().out)
     assert (text["laps"], text["known_too_little"]) == (1, [])

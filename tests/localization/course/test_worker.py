@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.course import worker
+from localization.course import grading
 from tests.localization.course.test_checks import ANSWERS
 from tests.localization.course.test_grading import notebook
 
@@ -17,19 +17,19 @@ IMPORTS = "import math\nimport numpy as np"
 
 
 def test_a_right_function_passes_and_a_missing_one_does_not(tmp_path: Path) -> None:
-    values, error = worker.load(notebook(tmp_path / "ada.ipynb", IMPORTS, RIGHT), LIMIT_S)
+    values, error = grading.load(notebook(tmp_path / "ada.ipynb", IMPORTS, RIGHT), LIMIT_S)
     assert not error
-    assert worker.judge(values, "relative_step", 3, LIMIT_S, error).passed
-    missing = worker.judge(values, "random_error", 3, LIMIT_S, error)
+    assert grading.judge(values, "relative_step", 3, LIMIT_S, error).passed
+    missing = grading.judge(values, "random_error", 3, LIMIT_S, error)
     assert not missing.passed
     assert "no function random_error" in missing.text
 
 
 def test_the_first_error_of_a_submission_explains_what_is_missing(tmp_path: Path) -> None:
     cells = (IMPORTS, "SIZE = 1 / 0", "raise SystemExit(3)")
-    values, error = worker.load(notebook(tmp_path / "bob.ipynb", *cells), LIMIT_S)
+    values, error = grading.load(notebook(tmp_path / "bob.ipynb", *cells), LIMIT_S)
     assert "ZeroDivisionError" in error
-    assert error in worker.judge(values, "relative_step", 3, LIMIT_S, error).text
+    assert error in grading.judge(values, "relative_step", 3, LIMIT_S, error).text
 
 
 @pytest.mark.parametrize(("body", "word"), [
@@ -39,7 +39,7 @@ def test_the_first_error_of_a_submission_explains_what_is_missing(tmp_path: Path
 def test_functions_that_do_not_return_fail(tmp_path: Path, body: str, word: str) -> None:
     parameters = inspect.signature(ANSWERS["relative_step__right_atan2"])
     file = notebook(tmp_path / "eve.ipynb", IMPORTS, f"def relative_step{parameters}:\n    {body}\n")
-    values, error = worker.load(file, LIMIT_S)
-    found = worker.judge(values, "relative_step", 3, 0.2, error)
+    values, error = grading.load(file, LIMIT_S)
+    found = grading.judge(values, "relative_step", 3, 0.2, error)
     assert not found.passed
     assert word in found.text

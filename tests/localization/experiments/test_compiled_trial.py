@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.experiments import compiled_trial, execution
+from localization.experiments import execution, figure_trial
 from localization.experiments.figure_trial import FIGURES, FigureSetup, Runs, figure_setup, run, run_compiled
 from localization.filters import compiled
 
@@ -36,7 +36,7 @@ def largest_difference(one: Runs, other: Runs) -> float:
 def test_single_steps_are_those_of_the_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = course()
     # In plain Python, whose walls are the filter's own.
-    monkeypatch.setattr(compiled_trial, "load_drive", lambda: compiled_trial.make_drive(0))
+    monkeypatch.setattr(figure_trial, "load_drive", lambda: figure_trial.make_drive(0))
     for name in ("WallArrays", "ListedWalls"):
         monkeypatch.setattr(compiled, name, lambda *_: setup.walls)
     with np.errstate(invalid="ignore"):

@@ -6,9 +6,9 @@ from math import pi
 
 import numpy as np
 
-from localization.experiments.lost_trial import RandomExplorer
+from localization.experiments.lost import RandomExplorer
 from localization.live.sensor_input import SensorData
-from localization.navigation.limits import STAND, VelocityCommand
+from localization.navigation.control_law import STAND, VelocityCommand
 from localization.navigation.recovery import TURN_RAD_S
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import Speeds

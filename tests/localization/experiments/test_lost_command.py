@@ -9,7 +9,7 @@ import pytest
 
 from localization.experiments import lost as lost_command
 from localization.experiments.__main__ import main
-from localization.experiments.lost_trial import Case, Kind, LostResult
+from localization.experiments.lost import Case, Kind, LostResult
 
 
 @pytest.fixture

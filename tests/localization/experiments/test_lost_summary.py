@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost import brier_score, expected_brier_score, summaries, words
-from localization.experiments.lost_trial import Case, Kind, LostResult
+from localization.experiments.lost import Case, Kind, LostResult, brier_score, expected_brier_score, summaries, words
 
 
 def case(kind: Kind, seed: int) -> Case:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from localization.experiments import lost_trial
+from localization.experiments import lost
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost_trial import Case, Kind, drive
+from localization.experiments.lost import Case, Kind, drive
 from localization.filters.health import IntegrityMonitor
 
 pytestmark = pytest.mark.long
@@ -38,7 +38,7 @@ def test_random_fit_of_few_echoes_raises_no_alarm(seed: int, seconds: float) -> 
 
 
 def test_kidnapped_robot_is_detected_and_recovers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (5.0, 6.0))
+    monkeypatch.setattr(lost, "KIDNAPPED_S", (5.0, 6.0))
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED, seed=1))
     assert outcome.alarms == 0
     assert outcome.lost_after_s is not None
@@ -55,15 +55,15 @@ def test_a_robot_that_is_reported_nothing_finds_itself() -> None:
 
 
 def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lost_trial, "SEARCH_LIMIT_S", 15.0)
+    monkeypatch.setattr(lost, "SEARCH_LIMIT_S", 15.0)
     outcome = drive(replace(EXACT, kind=Kind.UNKNOWN_START, world="thesis_room"))
     assert outcome.found_after_s is None
     assert not outcome.right
 
 
 def test_undetected_kidnapping_has_no_detection_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (2.0, 3.0))
-    monkeypatch.setattr(lost_trial, "SEARCH_LIMIT_S", 0.5)
+    monkeypatch.setattr(lost, "KIDNAPPED_S", (2.0, 3.0))
+    monkeypatch.setattr(lost, "SEARCH_LIMIT_S", 0.5)
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED))
     assert outcome.lost_after_s is None
     assert outcome.found_after_s is None

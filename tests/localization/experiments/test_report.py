@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from localization.experiments.execution import table
 from localization.experiments.figure_trial import FIGURES, Summary, figure_setup
-from localization.experiments.output import table
 
 
 def some_summary(name: str, *, filtered: bool = True) -> Summary:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from localization.cli.calibrate import calibration_in, table
 from localization.experiments.live_trial import EXACT_RAYS
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
@@ -24,7 +25,6 @@ from localization.filters.odometry import OdometryNoise, move, with_parameters
 from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.update import Refusal
-from localization.navigation.umbmark import calibration_in, table
 from worlds.io import load_world
 from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150

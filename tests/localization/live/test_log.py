@@ -10,8 +10,7 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.registry import make
 from localization.filters.sonar_cone import building_sonar
-from localization.live.log import LogRow, new_echoes, read_log, without_echo
-from localization.live.run import run_log
+from localization.live.run import LogRow, new_echoes, read_log, run_log, without_echo
 from nclient.errors import LogFileError
 from worlds.rings import Ring
 from worlds.robots import Body

@@ -19,7 +19,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
 from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, survey
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from nclient import Robot, connect
 from nclient.cli import main
 from nclient.errors import BumperHit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.navigation.limits import FULL_SPEED_RATIO, allowed_speed_fraction
+from localization.navigation.control_law import FULL_SPEED_RATIO, allowed_speed_fraction
 
 WALL = np.array([[10.0, -100.0, 10.0, 100.0]])
 

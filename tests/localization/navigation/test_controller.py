@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from localization.navigation.controller import RobotController
-from localization.navigation.limits import VelocityCommand
+from localization.navigation.control_law import VelocityCommand
+from localization.navigation.pilot import RobotController
 from nclient.errors import BumperHit, ConnectionLost
 
 MakeController = Callable[..., RobotController]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.navigation.limits import VelocityCommand
-from localization.navigation.umbmark import Driver, DriveTo, LapPolicy, Spin, Task
+from localization.cli.calibrate import Driver, DriveTo, LapPolicy, Spin, Task
+from localization.navigation.control_law import VelocityCommand
 
 LAP: list[Task] = [Spin(0.01), DriveTo(0.0, 0.0)]
 

@@ -10,11 +10,9 @@ from typing import Any
 
 import pytest
 
-from localization.navigation.controller import RobotController
-from localization.navigation.mission import Mission, run_mission
-from localization.navigation.mission_report import MissionOver, StepFailed
-from localization.navigation.mission_settings import Settings
+from localization.navigation.mission import Mission, MissionOver, StepFailed, run_mission
 from localization.navigation.path import angle_difference
+from localization.navigation.pilot import RobotController, Settings
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, NomadError, RobotHeld
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from localization.navigation.mission import Mission
-from localization.navigation.mission_settings import check_arguments, read_points
+from localization.navigation.pilot import check_arguments, read_points
 from nclient.errors import MissionFileError
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from localization.cli import go, mission
+from localization.cli import mission
 from localization.cli.arguments import (
     MAX_NOISE,
     parse_numbers,
@@ -25,8 +25,7 @@ from localization.cli.arguments import (
     parse_seconds,
 )
 from localization.live import saved_estimate
-from localization.navigation.mission import Mission, run_mission
-from localization.navigation.mission_report import Report, Step, StepFailed
+from localization.navigation.mission import Mission, Report, Step, StepFailed, run_mission
 from localization.navigation.waypoints import stop_on_exit
 from nclient.cli.main import main
 from nclient.common.process import TerminatedBySignal
@@ -298,10 +297,10 @@ def numbers_of_two(text: str) -> list[float]:
 
 
 def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
-    for name, module in (("go", go), ("mission", mission)):
+    for name, command in (("go", mission.GoCommand), ("mission", mission.MissionCommand)):
         with pytest.raises(SystemExit):
             main([name, "--help"])
-        assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out
+        assert (command.__doc__ or "").splitlines()[0] in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", sorted(parse_point.name for parse_point in entry_points(group="nomad.commands")))

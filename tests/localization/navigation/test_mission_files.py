@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from localization.navigation.mission import Seen
-from localization.navigation.mission_settings import OnLost, Settings
 from localization.navigation.mission_steps import MAX_BYTES, load_mission, parse_step_list
+from localization.navigation.pilot import OnLost, Settings
 from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from localization.navigation.mission import Mission
-from localization.navigation.mission_report import MissionOver, StepFailed
+from localization.navigation.mission import Mission, MissionOver, StepFailed
 from localization.navigation.mission_steps import parse_program
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, RobotRefused

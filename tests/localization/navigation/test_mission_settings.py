@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from localization.navigation.mission_settings import OnLost, Settings
+from localization.navigation.pilot import OnLost, Settings
 from nclient.errors import MissionFileError
 
 

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.navigation.limits import MODEL_LIMITS, STAND
-from localization.navigation.path import PathElement, PathSection, line_between, split_into_sections
-from localization.navigation.path_follower import PathFollower, turn_command
+from localization.navigation.control_law import MODEL_LIMITS, STAND
+from localization.navigation.path import (
+    PathElement,
+    PathFollower,
+    PathSection,
+    line_between,
+    split_into_sections,
+    turn_command,
+)
 from localization.navigation.roadmap import Planner
 from worlds.io import load_world
 from worlds.robots import N150

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.roadmap import DETOUR, MARGINS_IN, NoPathError, PlannedPath, Planner, Roadmap
 from worlds.io import load_world

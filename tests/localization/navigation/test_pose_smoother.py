@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from localization.navigation.limits import PoseSmoother
+from localization.navigation.control_law import PoseSmoother
 
 HERE = np.array([0.0, 0.0, 0.0])
 

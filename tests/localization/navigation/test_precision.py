@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import radians
 
-from localization.navigation.umbmark import missing, noise_in, numbers
+from localization.cli.calibrate import missing, noise_in, numbers
 from worlds.robots import Calibration, Spread
 
 KNOWN = Spread(0.001, 0.001, 0.000025, (0.033,) * 16, radians(0.1))

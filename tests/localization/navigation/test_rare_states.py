@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from localization.navigation.limits import OBSERVED_STATES, StateGapLimiter
+from localization.navigation.control_law import OBSERVED_STATES, StateGapLimiter
 
 
 def shares(clocks_s: list[float]) -> list[float]:

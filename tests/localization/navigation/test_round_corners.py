@@ -7,7 +7,7 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from localization.navigation.limits import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.path import SpeedProfile, round_corners, split_into_sections
 
 AXES = MODEL_LIMITS["n150"]

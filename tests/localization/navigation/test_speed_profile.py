@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from localization.navigation.limits import MODEL_LIMITS, AxisLimits
+from localization.navigation.control_law import MODEL_LIMITS, AxisLimits
 from localization.navigation.path import (
     CREEP_IN_S,
     LATERAL_SHIFT_IN,

@@ -8,10 +8,7 @@ from math import hypot, pi, tau
 import numpy as np
 import pytest
 
-from localization.filters.belief import HEADING
-from localization.filters.odometry import move
-from localization.navigation.roadmap import NoPathError, segment_clearances
-from localization.navigation.umbmark import (
+from localization.cli.calibrate import (
     MARGIN_IN,
     Driver,
     DriveTo,
@@ -23,6 +20,9 @@ from localization.navigation.umbmark import (
     path_to,
     tasks,
 )
+from localization.filters.belief import HEADING
+from localization.filters.odometry import move
+from localization.navigation.roadmap import NoPathError, segment_clearances
 from localization.navigation.waypoints import PERIOD_S
 from worlds.io import load_world, world_names
 from worlds.world import Polygon, World

@@ -6,7 +6,7 @@ from math import radians, remainder, tau
 
 import pytest
 
-from localization.navigation.path_follower import TurnProgress
+from localization.navigation.path import TurnProgress
 
 
 @pytest.mark.parametrize("by_deg", [0, 30, 180, -180, 270, 360, -720, 3600])
