@@ -146,6 +146,15 @@ def _rows_of_three(rows: Any) -> Any:
     return [(row[0], row[1], row[2]) for row in rows]
 
 
+def _same_rows(rows: Any) -> Any:
+    return rows
+
+
+def _form_for_arrays(form: Callable[..., Any]) -> Callable[..., Any]:
+    """Return what chooses this form for rows in an array; a list of tuples stays as it is."""
+    return lambda rows: form if hasattr(rows, "ndim") else _same_rows
+
+
 def _nearest(x: Any, y: Any, dx: Any, dy: Any, walls: Any) -> Any:
     return raycast.nearest_wall(x, y, dx, dy, sonar_ray.wall_rows(walls))
 
@@ -182,25 +191,30 @@ def load() -> bool:
     except ImportError:
         return False
     for function, form in _FORMS.items():
-        of_type = _form_of_rows if form is _wall_rows else _same(form)
+        if form is _wall_rows:
+            of_type = _form_of_rows
+        elif form in {_rows_of_five, _rows_of_three}:
+            of_type = _form_for_arrays(form)
+        else:
+            of_type = _same(form)
         numba.extending.overload(function, strict=False)(of_type)
     return True
 
 
 @cache
-def _checksum(loop: Callable[..., Any]) -> int:
+def source_checksum(loop: Callable[..., Any]) -> int:
     """Return a checksum of all sources, with this file."""
     return checksum(__file__, loop.__code__.co_filename, *(module.__file__ for module in SOURCES))
 
 
 def _mark(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Path:
     """Return the file that marks this loop and update as compiled."""
-    return mark_path(correct.__name__, _checksum(loop))
+    return mark_path(correct.__name__, source_checksum(loop))
 
 
 def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> bool:
     """Return True if compiled code is to be used: see `worlds.compiled.is_wanted`."""
-    return compiled.is_wanted(correct.__name__, _checksum(loop))
+    return compiled.is_wanted(correct.__name__, source_checksum(loop))
 
 
 @cache
@@ -209,7 +223,7 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
     assemble = _ray_model if correct is sonar_ray.update_by_ray else _cone_model
 
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    sources = _checksum(loop)
+    sources = source_checksum(loop)
 
     def filter_ring(
         x: Any, P: Any, used: Any, slip_sums: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, *parts: Any
@@ -225,7 +239,7 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
 @cache
 def _compile_prediction(widen: Callable[..., None]) -> Callable[..., tuple[Floats, Floats]]:
     """Return the prediction that is reported, without changing x and P: compiled when called first, or loaded."""
-    sources, prediction = _checksum(widen), odometry.predict_state
+    sources, prediction = source_checksum(widen), odometry.predict_state
 
     def predicted(
         x: Any, P: Any, size: int, distance: float, turn: float, noise: Any, nis_ratio: float, lag: Any, scale: float,

@@ -43,6 +43,8 @@ HEADINGS_RAD: Final[Floats] = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * n
 MAX_PEAKS: Final = 100
 MAX_CANDIDATES: Final = 20_000
 """Poses among which peaks are looked for."""
+MAX_FINE_SQUARES: Final = 500
+"""Coarse places around which a search of a large map looks closer."""
 EVIDENCE_SHARE: Final = 0.3
 """Of the evidence of an echo in the probability of a hypothesis: neighbouring sonars and following rounds meet the same
 walls, so their errors are not independent. With 1 wrong poses in a hall or a maze had 99 %."""
@@ -296,43 +298,123 @@ def _is_same(one: Belief, other: Belief) -> bool:
 
 def _peaks(records: Sequence[EchoRecord], table: RangeTable, prior: Prior | None = None) -> list[Belief]:
     """Return beliefs over the pose (3,) at the last record, one for each peak of the likelihood, the best first."""
-    places = table.places_in
-    if not records or not len(places):
+    if not records or not len(table.coarse_places):
         return []
-    score, std = _coarse(records, table, places), _peak_std(table)
-    if prior is not None:
-        information = np.linalg.inv(prior.belief.cov[:POSE, :POSE] + np.diag(np.square(std)))
-        # Heading by heading: an array of all poses would be large on a large map.
-        for row, heading in enumerate(HEADINGS_RAD.tolist()):
-            poses = np.column_stack((places, np.full(len(places), heading)))
-            offset = difference(_displaced(poses, records[-1].encoders, prior.encoders), prior.belief.mean[:POSE])
-            score[row] -= 0.5 * np.einsum("ni,ij,nj->n", offset, information, offset)
-    return [independent(peak, std) for peak in _maxima(places, score, PEAK_CELLS * table.cell_in)]
+    # 1. The coarse places with all headings; on a small map all places.
+    chosen = _chosen(records)
+    place, row = _coarse(chosen, records[-1], table, prior)
+    # 2. The places around the best of them.
+    if table.coarse_cells > 1:
+        place, row = _finer(place, row, table)
+        nats = _fine(place, row, chosen, records[-1], table)
+        nats += _log_density(place, row, records[-1], table, prior)
+        best = np.argsort(-nats, kind="stable")
+        best = best[nats[best] >= nats[best[0]] - MAX_PEAK_NATS]
+        place, row = place[best], row[best]
+    poses = np.column_stack((table.places_in[place], HEADINGS_RAD[row]))
+    std = _peak_std(table)
+    return [independent(peak, std) for peak in _maxima(poses, PEAK_CELLS * table.cell_in)]
 
 
-def _peak_std(table: RangeTable) -> tuple[float, float, float]:
-    return PEAK_STD * table.cell_in, PEAK_STD * table.cell_in, PEAK_HEADING_STD_RAD
+def _peak_std(table: RangeTable, cells: int = 1) -> tuple[float, float, float]:
+    std_in = PEAK_STD * table.cell_in * cells
+    return std_in, std_in, PEAK_HEADING_STD_RAD
 
 
-def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> npt.NDArray[np.float32]:
-    """Return the log likelihoods (DIRECTIONS, places) of all poses of the grid at the last record."""
-    # 1. The records that count, and the distance driven since each.
+Weighed = list[tuple[EchoRecord, float]]
+"""Records that decide the peaks, each with the distance driven since (in)."""
+Numbers = npt.NDArray[np.intp]
+
+
+def _chosen(records: Sequence[EchoRecord]) -> Weighed:
+    """Return the records that decide the peaks: no limits "so near or nearer"."""
     chosen = [*_spread(records[:-LAST_RECORDS], COARSE_RECORDS - LAST_RECORDS), *records[-LAST_RECORDS:]]
     steps = [0.0] + [float(np.hypot(*(b.encoders - a.encoders)[:2])) for a, b in pairwise(chosen)]
-    since_in = sum(steps) - np.cumsum(steps)
+    since_in = (sum(steps) - np.cumsum(steps)).tolist()
+    return [pair for pair in zip(chosen, since_in, strict=True) if pair[0].reading_in > LOWEST_IN]
+
+
+def _shifts(record: EchoRecord, last: EchoRecord) -> tuple[Floats, Floats, Numbers]:
+    """Return for each heading at the last record the step from there to a record, and the direction of its sonar.
+
+    Where the robot was then depends on the heading alone: the same step from all places.
+    """
+    dx, dy, heading = _displaced(np.stack((0.0 * HEADINGS_RAD, 0.0 * HEADINGS_RAD, HEADINGS_RAD), axis=-1),
+                                 last.encoders, record.encoders).T  # fmt: skip
+    directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
+    return dx, dy, directions
+
+
+def _coarse(
+    chosen: Weighed, last: EchoRecord, table: RangeTable, prior: Prior | None
+) -> tuple[Numbers, Numbers]:
+    """Return places and rows of HEADINGS_RAD (k,) of the best coarse poses, the best first."""
+    # 1. Sum of log likelihoods; readings are independent given the pose.
+    places = table.coarse_places
     score = np.zeros((DIRECTIONS, len(places)), dtype=np.float32)
-    # 2. Sum of log likelihoods; readings are independent given the pose.
-    for record, driven_in in zip(chosen, since_in.tolist(), strict=True):
-        if record.reading_in <= LOWEST_IN:
-            continue
-        nats = _log_likelihoods(record.reading_in, table.cell_in, driven_in)
-        # Where the robot was then depends on the heading alone: the same step from all places.
-        dx, dy, heading = _displaced(np.stack((0.0 * HEADINGS_RAD, 0.0 * HEADINGS_RAD, HEADINGS_RAD), axis=-1),
-                                     records[-1].encoders, record.encoders).T  # fmt: skip
-        directions = np.rint((heading + record.sonar_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
-        for row, (x_in, y_in, direction) in enumerate(zip(dx.tolist(), dy.tolist(), directions.tolist(), strict=True)):
+    for record, driven_in in chosen:
+        nats = _log_likelihoods(record.reading_in, table.cell_in * table.coarse_cells, driven_in)
+        shifts = (part.tolist() for part in _shifts(record, last))
+        for row, (x_in, y_in, direction) in enumerate(zip(*shifts, strict=True)):
             score[row] += nats[table.codes_beside(x_in, y_in, direction)]
-    return score
+    # Heading by heading: an array of all poses would be large on a large map.
+    for row in range(DIRECTIONS if prior else 0):
+        score[row] += _log_density(places, np.full(len(places), row), last, table, prior, table.coarse_cells)
+    # 2. The best, and those not much worse.
+    nats = score.ravel()
+    count = min(MAX_CANDIDATES, len(nats))
+    lowest = np.partition(nats, len(nats) - count)[len(nats) - count]
+    order = np.flatnonzero(nats >= max(float(lowest), float(nats.max()) - MAX_PEAK_NATS))
+    order = order[np.argsort(-nats[order], kind="stable")][:count]
+    row_of, place_of = np.divmod(order, len(places))
+    return places[place_of], row_of
+
+
+def _finer(place: Numbers, row: Numbers, table: RangeTable) -> tuple[Numbers, Numbers]:
+    """Return places and rows of HEADINGS_RAD (n,) of all poses for which the best coarse ones stand."""
+    _, first = np.unique(place, return_index=True)
+    best = np.sort(first)[:MAX_FINE_SQUARES]
+    is_chosen = np.isin(place, place[best])
+    place, row = place[is_chosen], row[is_chosen]
+    # Places in the order of their squares: those of one follow one another.
+    order = np.argsort(table.representative[:-1], kind="stable")
+    bounds = table.representative[:-1][order]
+    begin, end = (np.searchsorted(bounds, place, side) for side in ("left", "right"))
+    counts = end - begin
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return order[np.repeat(begin, counts) + within], np.repeat(row, counts)
+
+
+def _fine(place: Numbers, row: Numbers, chosen: Weighed, last: EchoRecord, table: RangeTable) -> Floats:
+    """Return the log likelihoods (n,) of poses at places with headings of these rows."""
+    # 1. The places where the robot was at each record.
+    shifts = [_shifts(record, last) for record, _ in chosen]
+    there = [table.beside(place, dx[row], dy[row]) for dx, dy, _ in shifts]
+    if there:
+        table.require(np.unique(np.concatenate([np.unique(part) for part in there])))
+    # 2. As in `_coarse`.
+    total = np.zeros(len(place))
+    for (record, driven_in), (_, _, directions), beside in zip(chosen, shifts, there, strict=True):
+        nats = _log_likelihoods(record.reading_in, table.cell_in, driven_in)
+        total += nats[table.codes[directions[row], beside]]
+    return total
+
+
+def _log_density(
+    place: Numbers, row: Numbers, last: EchoRecord, table: RangeTable, prior: Prior | None, cells: int = 1
+) -> Floats:
+    """Return the log densities (n,) of poses at places with headings of these rows, by what was known before.
+
+    A place stands for a square of so many cells.
+    """
+    if prior is None:
+        return np.zeros(len(place))
+    poses = np.column_stack((table.places_in[place], HEADINGS_RAD[row]))
+    width = np.square(_peak_std(table, cells))
+    offset = difference(_displaced(poses, last.encoders, prior.encoders), prior.belief.mean[:POSE])
+    information = np.linalg.inv(prior.belief.cov[:POSE, :POSE] + np.diag(width))
+    density: Floats = -0.5 * np.einsum("ni,ij,nj->n", offset, information, offset)
+    return density
 
 
 def _spread(records: Sequence[EchoRecord], count: int) -> Sequence[EchoRecord]:
@@ -367,21 +449,14 @@ def _displaced(poses: Floats, last: Floats, then: Floats) -> Floats:
     return there
 
 
-def _maxima(places: Floats, score: npt.NDArray[np.float32], distance_in: float) -> list[Floats]:
-    """Return the best poses (3,) of places (n, 2) with scores (DIRECTIONS, n), one for each peak.
+def _maxima(poses: Floats, distance_in: float) -> list[Floats]:
+    """Return the best of poses (n, 3), the best first, one for each peak.
 
     No two are within this distance with nearly the same heading.
     """
-    # 1. The best poses, and those not much worse.
-    nats = score.ravel()
-    count = min(MAX_CANDIDATES, len(nats))
-    lowest = np.partition(nats, len(nats) - count)[len(nats) - count]
-    order = np.flatnonzero(nats >= max(float(lowest), float(nats.max()) - MAX_PEAK_NATS))
-    order = order[np.argsort(-nats[order], kind="stable")][:count]
-    row, place = np.divmod(order, len(places))
-    rest: Floats = np.column_stack((places[place], HEADINGS_RAD[row]))
-    # 2. Non-maximum suppression: take the best pose, drop its neighbours, repeat.
+    # Non-maximum suppression: take the best pose, drop its neighbours, repeat.
     found: list[Floats] = []
+    rest = poses
     while len(rest) and len(found) < MAX_PEAKS:
         peak = rest[0]
         found.append(peak)
@@ -480,14 +555,21 @@ class PoseSearch(Protocol):
 
 
 class TableSearch:
-    """Search in this process, which answers at once; the table is built at its first use."""
+    """Search in this process, which answers at once; the table is built at its first use.
+
+    `store` is called with the table after each search that computed more of it.
+    """
 
     progress = ""
 
     def __init__(
-        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise
+        self,
+        table: Callable[[], RangeTable],
+        measurement: MeasurementUpdate,
+        odometry: OdometryNoise,
+        store: Callable[[RangeTable], None] = lambda _: None,
     ) -> None:
-        self._build, self._replay = table, EchoReplay(measurement, odometry)
+        self._build, self._replay, self._store = table, EchoReplay(measurement, odometry), store
 
     @cached_property
     def table(self) -> RangeTable:
@@ -500,7 +582,10 @@ class TableSearch:
 
     def start(self, request: SearchRequest) -> PendingSearch:
         """Return the answer of a search."""
+        before = np.count_nonzero(self.table.is_known)
         result = self._answer(request)
+        if np.count_nonzero(self.table.is_known) > before:
+            self._store(self.table)
         return lambda: result
 
     def _answer(self, request: SearchRequest) -> SearchResult:
@@ -561,9 +646,7 @@ def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> flo
                 break
             # 2. How far the expected readings differ, in cells at most; "nothing" differs from any echo.
             rows = np.rint(heading * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp)[:, None] + sonars
-            number = table.places_at(x, y)
-            ranges, probability = (part[number[:, None], rows % DIRECTIONS] for part in (
-                table.ranges_in, table.probabilities))  # fmt: skip
+            ranges, probability = table.look_up(x[:, None], y[:, None], rows % DIRECTIONS)
             expected = np.where(probability > 0.5, ranges, NOTHING_IN)
             apart = np.minimum(np.abs(expected[:, None] - expected[None]) / (4.0 * table.cell_in), 1.0).mean(axis=-1)
             apart[~free] = apart[:, ~free] = 0.0

@@ -1,15 +1,18 @@
 """A table of expected echoes from anywhere on the map, for localizing a robot whose pose is unknown.
 
-    ranges_in, probabilities    [place, direction]: the most probable echo of a sonar that looks in that direction,
-                                the robot on a grid over the free floor
+    codes    [direction, place]: the most probable echo of a sonar that looks in that direction, its range in whole
+             inches and its probability in one number, the robot on a grid over the free floor
 
 With it the likelihood of a ring of echoes at a hundred thousand poses is a matter of look-ups. Ranges are those from
 the middle of a cell; the caller widens the variance by the size of a cell. Cells are larger on large maps.
+
+On a large map the table is coarse to fine: of four or more neighbouring places one stands for all, and only these have
+echoes at first. A search compares them, and requires the others where good candidates are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -18,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import Floats
+from localization.filters.compiled_table import compiled_echoes
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probabilities
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
@@ -39,6 +43,8 @@ HEADING_STD_RAD: Final = 2.0 * np.pi / DIRECTIONS / np.sqrt(12.0)
 """Standard deviation of a direction within its cell."""
 MIN_ENCLOSED: Final = 0.1
 """Fraction of all floor that must be enclosed by walls for the rest to be outside: less may be a hollow pillar."""
+MAX_COARSE_PLACES: Final = 6_000
+"""Coarse places of a large map: in cells of 12 in, 550 m^2."""
 _BLOCK_CELLS: Final = 8
 """Cells along a side of the blocks that are built together."""
 _PART_POSES: Final = 960
@@ -49,7 +55,11 @@ _SMOOTHING: Final = np.full(5, 0.2)
 """Smooths the histogram of ranges by the size of a cell."""
 
 
-@dataclass(frozen=True)
+Expect = Callable[[npt.NDArray[np.intp], Callable[[float], None]], tuple[Floats, Floats]]
+"""Computes ranges and probabilities at places; see `RangeTable`."""
+
+
+@dataclass
 class RangeTable:
     """The table, and the free floor.
 
@@ -61,21 +71,54 @@ class RangeTable:
         Side of a cell.
     number
         (rows, columns): number of the place in each cell, -1 where the robot does not fit.
-    ranges_in, probabilities
-        (places, DIRECTIONS); probability 0: no echo.
+    codes
+        (DIRECTIONS, places + 1), see `encoded`; the last is of no place.
+    is_known
+        (places + 1,) True for the places whose codes are computed.
+    expect
+        Computes ranges and probabilities (n, DIRECTIONS) at the places of these numbers (n,); called with what reports
+        the fraction that is done.
     """
 
     origin_in: Floats
     cell_in: float
     number: npt.NDArray[np.int32]
-    ranges_in: npt.NDArray[np.float32]
-    probabilities: npt.NDArray[np.float32]
+    codes: npt.NDArray[np.uint16]
+    is_known: npt.NDArray[np.bool_]
+    expect: Expect
 
-    @property
+    @cached_property
     def places_in(self) -> Floats:
         """The middles of all free cells (k, 2)."""
         rows, columns = np.nonzero(self.number >= 0)
         return self.origin_in + self.cell_in * np.stack((columns, rows), axis=-1)
+
+    @property
+    def coarse_cells(self) -> int:
+        """Side of the squares of cells in which one place stands for all; 1 on a small map."""
+        count = self.codes.shape[1] - 1
+        return 1 if count <= MAX_SMALL_PLACES else max(2, int(np.ceil(np.sqrt(count / MAX_COARSE_PLACES))))
+
+    @cached_property
+    def representative(self) -> npt.NDArray[np.intp]:
+        """(places + 1,) the number of the place that stands for each; the last is of no place."""
+        cells, (rows, columns) = self.coarse_cells, np.nonzero(self.number >= 0)
+        square = rows // cells * (self.number.shape[1] // cells + 1) + columns // cells
+        _, first, inverse = np.unique(square, return_index=True, return_inverse=True)
+        return np.append(first[inverse], len(rows)).astype(np.intp)
+
+    @cached_property
+    def coarse_places(self) -> npt.NDArray[np.intp]:
+        """Numbers (k,) of the places that stand for others: all on a small map."""
+        return np.unique(self.representative[:-1])
+
+    def require(self, numbers: npt.NDArray[np.intp], progress: Callable[[float], None] = lambda _: None) -> bool:
+        """Compute the codes of places that are not yet known; return True if there were any."""
+        missing = np.unique(numbers[~self.is_known[numbers]])
+        if len(missing):
+            self.codes[:, missing] = encoded(*self.expect(missing, progress)).T
+            self.is_known[missing] = True
+        return bool(len(missing))
 
     def density(self, reading_in: float) -> float:
         """Return the probability of a whole-inch reading from an unknown pose: per inch, or of "nothing" (255)."""
@@ -94,46 +137,55 @@ class RangeTable:
         """Return True for each point (n,) where the robot fits."""
         return self.places_at(x_in, y_in) >= 0
 
+    def beside(self, places: npt.NDArray[np.intp], x_in: Floats, y_in: Floats) -> npt.NDArray[np.intp]:
+        """Return the places (n,) so far beside places (n,), displacements (n,) or (); no place is the last number."""
+        columns = np.rint(np.asarray(x_in) / self.cell_in).astype(np.intp)
+        rows = np.rint(np.asarray(y_in) / self.cell_in).astype(np.intp)
+        padded, at = self._padded
+        beside = padded.ravel()[at[places] + np.where(
+            np.maximum(np.abs(columns), np.abs(rows)) <= MARGIN_CELLS, rows * padded.shape[1] + columns, -at[places]
+        )]  # fmt: skip
+        return beside.astype(np.intp)
+
     def codes_beside(self, x_in: float, y_in: float, direction: int) -> npt.NDArray[np.uint16]:
-        """Return the codes (places,) of the echoes in a direction, of a robot so far beside each place."""
+        """Return the codes (k,) of the coarse echoes in a direction, of a robot so far beside each coarse place."""
         columns, rows = round(x_in / self.cell_in), round(y_in / self.cell_in)
         if max(abs(columns), abs(rows)) > MARGIN_CELLS:
-            return np.zeros(len(self.ranges_in), dtype=np.uint16)
-        padded, at = self._padded
-        beside: npt.NDArray[np.uint16] = self._codes[direction][padded.ravel()[at + (rows * padded.shape[1] + columns)]]
+            return np.zeros(len(self.coarse_places), dtype=np.uint16)
+        coarse, at = self._coarse
+        beside: npt.NDArray[np.uint16] = self.codes[direction][coarse.ravel()[at + (rows * coarse.shape[1] + columns)]]
         return beside
 
     @cached_property
     def _padded(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.intp]]:
-        """`number` with a margin, the number after the last for no place; and the index there of each place."""
+        """`number` with a margin, the number after the last for no place; and the index there of each place.
+
+        The index 0, in the margin, is of no place.
+        """
         padded = np.pad(self.number, MARGIN_CELLS, constant_values=-1)
         at = np.flatnonzero(padded >= 0)
-        padded[padded < 0] = len(self.ranges_in)
+        padded[padded < 0] = len(at)
         return padded, at
 
     @cached_property
-    def _codes(self) -> npt.NDArray[np.uint16]:
-        """Codes (DIRECTIONS, places + 1); the last is of no place."""
-        codes = np.zeros((DIRECTIONS, len(self.ranges_in) + 1), dtype=np.uint16)
-        codes[:, :-1] = encoded(self.ranges_in, self.probabilities).T
-        return codes
+    def _coarse(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.intp]]:
+        """The same with the representative of each place, and the indices of the coarse places."""
+        padded, at = self._padded
+        return self.representative.astype(np.int32)[padded], at[self.coarse_places]
 
     @cached_property
     def _densities(self) -> Floats:
-        return reading_densities(self.ranges_in, self.probabilities)
+        return reading_densities(*decoded(self.codes[:, self.coarse_places].astype(np.intp)))
 
     def look_up(self, x_in: Floats, y_in: Floats, directions: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Return ranges and probabilities (k, n) of sonars at places (k, n) that look in directions (n,); 0 off floor.
 
-        `directions` are numbers of steps of 360 degrees / DIRECTIONS.
+        On a large map they are those of the coarse places. `directions` are numbers of steps of 360 degrees /
+        DIRECTIONS.
         """
-        place = self.places_at(x_in, y_in)
-        on_floor = place >= 0
-        at = np.where(on_floor, place, 0), directions
-        if not len(self.ranges_in):
-            return np.zeros(x_in.shape), np.zeros(x_in.shape)
-        ranges: Floats = np.where(on_floor, self.ranges_in[at], 0.0)
-        return ranges, np.where(on_floor, self.probabilities[at], 0.0)
+        number = self.places_at(x_in, y_in)
+        at = self.representative[np.where(number >= 0, number, self.codes.shape[1] - 1)]
+        return decoded(self.codes[directions, at].astype(np.intp))
 
 
 # A range and its probability as one small number, so that a likelihood is one look-up: ranges in inches, probabilities
@@ -191,7 +243,7 @@ def sampled_echoes(
     chosen: list[tuple[Floats, Floats]] = []
     for place in drawn:
         if len(chosen) < places and nearest_points(place, segments)[1].min() >= clearance_in:
-            chosen.append(_expected(place[None], segments, around, body, sonar))
+            chosen.append(_expected(place[None], place[None], segments, around, body, sonar))
     if not chosen:
         return np.zeros((0, DIRECTIONS)), np.zeros((0, DIRECTIONS))
     ranges, probabilities = (np.concatenate(part) for part in zip(*chosen, strict=True))
@@ -207,39 +259,67 @@ def build_range_table(
 ) -> RangeTable:
     """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall.
 
-    `progress` is called with the fraction that is done.
+    On a large map the coarse places are computed. `progress` is called with the fraction that is done.
     """
-    # 1. The grid, and its free cells; coarser if there are too many.
+    # 1. The grid, and its free cells; large cells if there are too many small ones.
     segments = wall_map(walls).segments
-    cell_in = CELL_IN
+    cell_in = LARGE_CELL_IN
     origin, free = floor_grid(segments, clearance_in, cell_in)
-    if np.count_nonzero(free) > MAX_SMALL_PLACES:
-        cell_in = LARGE_CELL_IN
-        origin, free = floor_grid(segments, clearance_in, cell_in)
+    if np.count_nonzero(free) <= MAX_SMALL_PLACES:
+        fine_origin, fine = floor_grid(segments, clearance_in, CELL_IN)
+        if np.count_nonzero(fine) <= MAX_SMALL_PLACES:
+            cell_in, origin, free = CELL_IN, fine_origin, fine
     number = np.full(free.shape, -1, dtype=np.int32)
     count = np.count_nonzero(free)
     number[free] = np.arange(count)
-    # 2. The most probable echo in every direction, block by block of neighbouring cells.
-    ranges = np.zeros((count, DIRECTIONS), dtype=np.float32)
-    probabilities = np.zeros_like(ranges)
-    around, done = reflectors(segments), 0
-    for block in _blocks(number):
-        rows, columns = block
-        places = origin + cell_in * np.stack((columns, rows), axis=-1)
-        numbers = number[block]
-        ranges[numbers], probabilities[numbers] = _expected(places, segments, around, body, sonar)
-        done += len(numbers)
-        progress(done / count)
-    return RangeTable(origin, cell_in, number, ranges, probabilities)
+    # 2. The most probable echo in every direction, at first of the coarse places.
+    codes, is_known = np.zeros((DIRECTIONS, count + 1), dtype=np.uint16), np.append(np.zeros(count, np.bool_), True)
+    expect = expectation(origin, cell_in, number, segments, body, sonar)
+    table = RangeTable(origin, cell_in, number, codes, is_known, expect)
+    table.require(table.coarse_places, progress)
+    return table
+
+
+def expectation(
+    origin_in: Floats,
+    cell_in: float,
+    number: npt.NDArray[np.int32],
+    walls: npt.ArrayLike,
+    body: SonarRing,
+    sonar: RaySonar | ConeSonar,
+) -> Expect:
+    """Return what computes the echoes at places of a grid: block by block of neighbouring cells."""
+    segments = wall_map(walls).segments
+    around = reflectors(segments)
+    rows, columns = np.nonzero(number >= 0)
+    places = origin_in + cell_in * np.stack((columns, rows), axis=-1)
+    block_of = rows // _BLOCK_CELLS * (number.shape[1] // _BLOCK_CELLS + 1) + columns // _BLOCK_CELLS
+
+    def expect(numbers: npt.NDArray[np.intp], progress: Callable[[float], None]) -> tuple[Floats, Floats]:
+        ranges, probabilities = np.zeros((len(numbers), DIRECTIONS)), np.zeros((len(numbers), DIRECTIONS))
+        done = 0
+        for block in np.unique(block_of[numbers]):
+            at = np.flatnonzero(block_of[numbers] == block)
+            # All places of the block decide what is in sight, so that the echoes of one do not depend on the others.
+            ranges[at], probabilities[at] = _expected(
+                places[numbers[at]], places[block_of == block], segments, around, body, sonar
+            )
+            done += len(at)
+            progress(done / len(numbers))
+        return ranges, probabilities
+
+    return expect
 
 
 def _expected(
-    places: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar
+    places: Floats, block: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar
 ) -> tuple[Floats, Floats]:
-    """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at neighbouring places (n, 2)."""
+    """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at places (n, 2) of a block (m, 2)."""
     directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
     if isinstance(sonar, ConeSonar):
-        return _most_probable(places, directions, around, body, sonar)
+        near, ring_in = _within_range(block, around), body.sonar_ring_radius_in
+        found = compiled_echoes(places, DIRECTIONS, near, ring_in, HEADING_STD_RAD, sonar)
+        return found or _most_probable(places, directions, *around_block(block, near, ring_in), body, sonar)
     range_in = ranges_from(_poses(places, directions), np.zeros(1), body, wall_map(segments)).range_in[..., 0]
     has_wall = np.isfinite(range_in)
     return np.where(has_wall, range_in, 0.0), has_wall.astype(np.float64)
@@ -259,8 +339,9 @@ def floor_grid(segments: Floats, clearance_in: float, cell_in: float) -> tuple[F
     free = _fits(segments, clearance_in, cell_in, origin - border * cell_in, (rows + 2 * border, columns + 2 * border))
     # 2. What is connected to the border lies outside.
     inner = slice(border, border + rows), slice(border, border + columns)
-    outside = connected(free, [(row, column) for row, column in np.ndindex(free.shape)
-                               if row in (0, free.shape[0] - 1) or column in (0, free.shape[1] - 1)])  # fmt: skip
+    is_border = np.ones_like(free)
+    is_border[1:-1, 1:-1] = False
+    outside = connected(free, zip(*(part.tolist() for part in np.nonzero(is_border)), strict=True))
     enclosed = (free & ~outside)[inner]
     free = free[inner]
     return origin, enclosed if enclosed.sum() >= MIN_ENCLOSED * free.sum() else free
@@ -268,20 +349,21 @@ def floor_grid(segments: Floats, clearance_in: float, cell_in: float) -> tuple[F
 
 def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> npt.NDArray[np.bool_]:
     """Return True for the free cells (rows, columns) that are connected to some of these cells (row, column)."""
-    reached = np.zeros_like(free)
-    rows, columns = free.shape
-    nodes: list[tuple[int, int]] = []
-
-    def visit(i: int, k: int) -> None:
-        if 0 <= i < rows and 0 <= k < columns and free[i, k] and not reached[i, k]:
-            reached[i, k] = True
-            nodes.append((i, k))
-
-    for cell in cells:
-        visit(*cell)
-    for i, k in nodes:  # grows meanwhile
-        for node in ((i - 1, k), (i + 1, k), (i, k - 1), (i, k + 1)):
-            visit(*node)
+    # 1. A border of cells that are not free, so that each cell has four neighbours.
+    open_ = np.pad(free, 1).ravel()
+    width = free.shape[1] + 2
+    given = np.array(list(cells), dtype=np.intp).reshape(-1, 2)
+    given = given[((given >= 0) & (given < free.shape)).all(axis=1)]
+    front = np.unique((given[:, 0] + 1) * width + given[:, 1] + 1)
+    front = front[open_[front]]
+    # 2. From all cells of the front to their neighbours, while there are any not yet reached.
+    left = open_.copy()
+    left[front] = False
+    while len(front):
+        beside = (front[:, None] + np.array((-width, -1, 1, width))).ravel()
+        front = np.unique(beside[left[beside]])
+        left[front] = False
+    reached: npt.NDArray[np.bool_] = (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
     return reached
 
 
@@ -300,16 +382,6 @@ def _fits(
     return free
 
 
-def _blocks(number: npt.NDArray[np.int32]) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
-    """Yield the rows and columns of the free cells of each block."""
-    rows, columns = number.shape
-    for row in range(0, rows, _BLOCK_CELLS):
-        for column in range(0, columns, _BLOCK_CELLS):
-            at = np.nonzero(number[row : row + _BLOCK_CELLS, column : column + _BLOCK_CELLS] >= 0)
-            if len(at[0]):
-                yield at[0] + row, at[1] + column
-
-
 def _poses(places: Floats, directions: Floats) -> Floats:
     poses = np.empty((len(places), len(directions), 3))
     poses[..., :2] = places[:, None, :]
@@ -318,10 +390,12 @@ def _poses(places: Floats, directions: Floats) -> Floats:
 
 
 def _most_probable(
-    places: Floats, directions: Floats, around: Reflectors, body: SonarRing, sonar: ConeSonar
+    places: Floats, directions: Floats, seen: Reflectors, blocking: Floats, body: SonarRing, sonar: ConeSonar
 ) -> tuple[Floats, Floats]:
-    """Return ranges and probabilities (n, d) of the most probable echo at neighbouring places (n, 2), by direction."""
-    seen, blocking = around_block(places, around, body.sonar_ring_radius_in)
+    """Return ranges and probabilities (n, d) of the most probable echo at neighbouring places (n, 2), by direction.
+
+    `seen` are the reflectors in sight, `blocking` (m, 4) the walls that may block the view.
+    """
     poses = _poses(places, directions).reshape(-1, 3)
     mount, std = SonarMount(0.0, body.sonar_ring_radius_in), np.full(len(poses), HEADING_STD_RAD)
     shape = len(places), len(directions)
@@ -338,15 +412,20 @@ def _most_probable(
     return range_in.reshape(shape), likeliest.reshape(shape)
 
 
+def _within_range(places: Floats, around: Reflectors) -> Reflectors:
+    """Return the reflectors from which neighbouring places (n, 2) may receive an echo."""
+    middle = places.mean(axis=0)
+    return around.some(
+        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
+    )
+
+
 def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, Floats]:
     """Return the reflectors in sight of neighbouring places (n, 2), and the walls (m, 4) that may block the view.
 
     In sight is what can be seen from a place, or from a sonar's distance `ring_in` beside an outer one.
     """
-    middle = places.mean(axis=0)
-    around = around.some(
-        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
-    )
+    around = _within_range(places, around)
     # 1. The places at the block's border, moved outwards by the ring: faces of sonars are there. Of the others a third.
     low, high = places.min(axis=0), places.max(axis=0)
     outer = places[((places == low) | (places == high)).any(axis=1)]

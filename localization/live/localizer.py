@@ -11,9 +11,10 @@ Search for poses in a process of its own, so that no update waits for it.
     robot's process      GlobalLocalizer --start(records)--> BackgroundSearch --queue--> worker
     worker               the range table, from the cache on disk or built once; then search() or alternatives()
 
-The table of a map takes seconds to minutes to build and is stored in the user's cache folder by map, ring and sonar
-model. In a simulation, whose time waits for its client, `waits` makes every search answer at once, so that a run can
-be repeated exactly; on a robot the answer comes some updates later, and the filter brings it up to date.
+The table of a map takes seconds to build and is stored in the user's cache folder by map, ring and sonar model, and
+again when a search has computed more of it. In a simulation, whose time waits for its client, `waits` makes every
+search answer at once, so that a run can be repeated exactly; on a robot the answer comes some updates later, and the
+filter brings it up to date.
 """
 
 from __future__ import annotations
@@ -53,7 +54,13 @@ from localization.filters.global_localization import is_wide
 from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
 from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
-from localization.filters.range_table import RangeTable, build_range_table, reading_densities, sampled_echoes
+from localization.filters.range_table import (
+    RangeTable,
+    build_range_table,
+    expectation,
+    reading_densities,
+    sampled_echoes,
+)
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, make, update_for
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.sensor_input import (
@@ -67,9 +74,10 @@ from localization.live.sensor_input import (
     corrected,
 )
 from nclient.common.process import show_seconds
+from worlds.compiled import VARIABLE
 from worlds.rings import Ring
 
-CACHE_VERSION: Final = 2
+CACHE_VERSION: Final = 3
 """Part of the name of every table; a change of the table's content needs another."""
 MAX_CACHED: Final = 20
 """Tables kept on disk, the most recently used."""
@@ -77,6 +85,9 @@ SAMPLED_PLACES: Final = 48
 """Random places whose echoes stand for those of the whole map in `density`."""
 REPORT_INTERVAL_S: Final = 2.0
 """Time between reports of a search that is waited for."""
+COMPILED_WALLS: Final = 50
+"""From so many walls on the worker compiles the formulas, once on a machine: in the background no update waits for it.
+Among 1,285 walls a search takes half a minute in plain Python, and half a second compiled."""
 NICENESS: Final = 10
 """The worker yields the processor to the robot's process."""
 
@@ -169,37 +180,51 @@ class BackgroundSearch:
 
 def load_or_build(config: LocalizationConfig, folder: Path, progress: Callable[[float], None]) -> RangeTable:
     """Return the range table of a map from the cache, or build and store it; a cache that fails is not used."""
-    # 1. Everything that decides the table is in its name.
-    walls = np.asarray(config.walls, dtype=np.float64)
-    parts = (CACHE_VERSION, walls.tobytes(), config.body.sonar_ring_radius_in, config.sonar, config.clearance_in)
-    path = folder / f"{sha256(repr(parts).encode()).hexdigest()[:32]}.npz"
+    path = table_path(config, folder)
     with suppress(OSError, ValueError, KeyError, BadZipFile), np.load(path, allow_pickle=False) as stored:
         path.touch()
-        return RangeTable(**{name: stored[name] for name in _STORED}, cell_in=float(stored["cell_in"]))
-    # 2. Build, and store as a whole: another process may do the same.
-    table = build_range_table(walls, config.body, config.sonar, config.clearance_in, progress)
-    with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
-            np.savez(file, cell_in=table.cell_in, **{name: getattr(table, name) for name in _STORED})
-        Path(file.name).replace(path)
-        for old in sorted(folder.glob("*.npz"), key=lambda table: -table.stat().st_mtime)[MAX_CACHED:]:
-            old.unlink()
+        cell_in, (origin_in, number, codes, is_known) = float(stored["cell_in"]), (stored[name] for name in _STORED)
+        expect = expectation(origin_in, cell_in, number, config.walls, config.body, config.sonar)
+        return RangeTable(origin_in, cell_in, number, codes, is_known, expect)
+    table = build_range_table(config.walls, config.body, config.sonar, config.clearance_in, progress)
+    store(table, path)
     return table
 
 
-def cached_search(config: LocalizationConfig) -> TableSearch:
-    """Return a search in this process whose table comes from the cache on disk."""
-
-    def table() -> RangeTable:
-        return load_or_build(config, cache_folder(), lambda _: None)
-
-    measurement = update_for(config.walls, config.body, config.sonar, config.gate)
-    return TableSearch(table, measurement, config.odometry)
+def table_path(config: LocalizationConfig, folder: Path) -> Path:
+    """Return the file of the table of a map: everything that decides the table is in its name."""
+    walls = np.asarray(config.walls, dtype=np.float64)
+    parts = (CACHE_VERSION, walls.tobytes(), config.body.sonar_ring_radius_in, config.sonar, config.clearance_in)
+    return folder / f"{sha256(repr(parts).encode()).hexdigest()[:32]}.npz"
 
 
-_STORED: Final = ("origin_in", "number", "ranges_in", "probabilities")
+def store(table: RangeTable, path: Path) -> None:
+    """Store a table as a whole, since another process may do the same, and remove the oldest; a failure is ignored."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            np.savez(file, cell_in=table.cell_in, **{name: getattr(table, name) for name in _STORED})
+        Path(file.name).replace(path)
+        for old in sorted(path.parent.glob("*.npz"), key=lambda table: -table.stat().st_mtime)[MAX_CACHED:]:
+            old.unlink()
+
+
+_STORED: Final = ("origin_in", "number", "codes", "is_known")
 """Arrays of a table."""
+
+
+def cached_search(
+    config: LocalizationConfig, folder: Path | None = None, progress: Callable[[float], None] = lambda _: None
+) -> TableSearch:
+    """Return a search in this process whose table comes from the cache on disk."""
+    folder = folder or cache_folder()
+    path = table_path(config, folder)
+    return TableSearch(
+        lambda: load_or_build(config, folder, progress),
+        update_for(config.walls, config.body, config.sonar, config.gate),
+        config.odometry,
+        lambda table: store(table, path),
+    )
 
 
 @contextmanager
@@ -244,14 +269,14 @@ _WORKER: Final = _Worker()
 def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]) -> None:
     """Make the search of a worker."""
     os.nice(NICENESS)
+    if len(np.asarray(config.walls)) >= COMPILED_WALLS:
+        os.environ.setdefault(VARIABLE, "always")
 
     def progress(fraction: float) -> None:
         done.value = min(fraction, 0.999)
 
-    table = load_or_build(config, folder, progress)
-    _WORKER.search = TableSearch(
-        lambda: table, update_for(config.walls, config.body, config.sonar, config.gate), config.odometry
-    )
+    _WORKER.search = cached_search(config, folder, progress)
+    assert _WORKER.search.table
     done.value = 1.0
 
 

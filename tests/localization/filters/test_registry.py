@@ -41,7 +41,7 @@ def test_robots_on_the_same_map_share_its_range_table() -> None:
     one, other = table_search(config), table_search(replace(config, odometry=OdometryNoise(0.0, 0.0, 0.0)))
     assert one.table is other.table
     built = build_range_table(config.walls, N150, config.sonar, config.clearance_in)
-    assert (one.table.ranges_in == built.ranges_in).all()
+    assert (one.table.codes == built.codes).all()
     assert table_search(replace(config, clearance_in=12.0)).table is not one.table
 
 

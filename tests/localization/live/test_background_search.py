@@ -25,18 +25,21 @@ from localization.filters.pose_search import (
 from localization.filters.range_table import DIRECTIONS, build_range_table
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search, update_for
 from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import RaySonar, ranges_from, wall_map
 from localization.live.localizer import (
     MAX_CACHED,
     BackgroundSearch,
     Estimate,
     Localizer,
     cache_folder,
+    cached_search,
     filter_on_robot,
     load_or_build,
 )
 from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
+from worlds.geometry import polygon_segments
 from worlds.io import load_world
 from worlds.robots import N150
 
@@ -158,7 +161,7 @@ def test_stored_table_is_read_again_and_equal(tmp_path: Path) -> None:
     second = load_or_build(CONFIG, tmp_path / "new", built.append)
     assert len(built) == count
     assert second.cell_in == first.cell_in
-    for name in ("origin_in", "number", "ranges_in", "probabilities"):
+    for name in ("origin_in", "number", "codes", "is_known"):
         np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
 
 
@@ -182,7 +185,7 @@ def test_damaged_tables_are_built_again_and_old_ones_removed(tmp_path: Path) -> 
 @pytest.mark.long
 def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert len(load_or_build(CONFIG, tmp_path / "file", lambda _: None).ranges_in)
+    assert len(load_or_build(CONFIG, tmp_path / "file", lambda _: None).places_in)
 
 
 def test_cache_is_in_the_users_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -192,15 +195,38 @@ def test_cache_is_in_the_users_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert cache_folder().is_relative_to(Path.home())
 
 
-@pytest.mark.long
+LONG_FLAT = polygon_segments([(0.0, 0.0), (1400.0, 0.0), (1400.0, 350.0), (0.0, 350.0)])
+"""Three flats of 114 m^2: 34,000 places in cells of 3 in, 13,000 in cells of 6 in."""
+
+
 def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
-    """Three flats of 114 m^2 in cells of 3 in would have 34,000 places."""
-    walls = [(0.0, 0.0, 1400.0, 0.0), (1400.0, 0.0, 1400.0, 350.0), (1400.0, 350.0, 0.0, 350.0), (0.0, 350.0, 0.0, 0.0)]
-    table = build_range_table(walls, N150, CONFIG.sonar, 9.0)
+    table = build_range_table(LONG_FLAT, N150, RaySonar(), 9.0)
     assert table.cell_in == 6.0
-    assert len(table.ranges_in) == len(table.places_in)
-    assert table.ranges_in.nbytes + table.probabilities.nbytes < 20e6
-    assert table.ranges_in.shape[1] == DIRECTIONS
+    assert table.codes.shape == (DIRECTIONS, len(table.places_in) + 1)
+    assert table.codes.nbytes < 5e6
+    # One of four places is computed at first.
+    assert len(table.coarse_places) < 0.27 * len(table.places_in)
+    assert table.is_known.sum() == len(table.coarse_places) + 1
+
+
+def test_what_a_search_adds_to_a_table_is_stored(tmp_path: Path) -> None:
+    config = LocalizationConfig(LONG_FLAT, N150, QUIET, RaySonar())
+    poses = cached_search(config, tmp_path)
+    before = poses.table.is_known.sum()
+    directions = N150.sonar_angles_rad
+    ranges = ranges_from(np.array((130.0, 120.0, 0.2)), np.array(directions), N150, wall_map(LONG_FLAT)).range_in
+    readings = np.minimum(np.round(ranges), 255.0).tolist()
+    records = [EchoRecord(np.zeros(3), directions[k], k, 0.0, reading) for k, reading in enumerate(readings)]
+    found = poses.start(SearchRequest([*records, *records]))()
+    assert found is not None
+    # The rectangle looks the same after half a turn: one of two poses, both found.
+    means = [each.belief.mean for each in found.hypotheses[:2]]
+    assert min(np.hypot(mean[0] - 130.0, mean[1] - 120.0) for mean in means) < 3.0
+    known = poses.table.is_known
+    assert before < known.sum() < len(known)
+    again = load_or_build(config, tmp_path, lambda _: None)
+    np.testing.assert_array_equal(again.is_known, known)
+    np.testing.assert_array_equal(again.codes, poses.table.codes)
 
 
 @pytest.mark.long
