@@ -53,7 +53,7 @@ from localization.navigation.path import sample_waypoints
 from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import Parser, add_value, whole_number
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
 from worlds.io import load_world, world_names
@@ -651,7 +651,7 @@ def main(arguments: Sequence[str]) -> None:
         Case(kind, world, SCENARIOS[options.scenario], seed, 60.0 * options.minutes)
         for kind in options.kinds
         for world in options.worlds
-        for seed in range(options.runs or RUNS[kind])
+        for seed in range(options.first_seed, options.first_seed + (options.runs or RUNS[kind]))
     ]
     # 2. Results, from the cache or by running them.
     cache = run_cache(options.out / "runs", code_hash())
@@ -711,6 +711,7 @@ def _parser() -> argparse.ArgumentParser:
     add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
     add_value(parser, "--runs --seeds", "N", positive, f"number of runs of each kind (default: {numbers})")
+    add_value(parser, "--first-seed", "N", whole_number("the number", 0), "seed of the first run of each kind", 0)
     add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
     add_execution_options(parser)
     add_output(parser, Path("out/experiments"), "kind")
