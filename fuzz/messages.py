@@ -20,7 +20,7 @@ from nclient.errors import ControlError
 from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line
 from nserver_emu.server.inprocess import open_address
-from nserver_emu.server.link import FaultController
+from nserver_emu.server.serial_session import FaultController
 from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_estimate, parse_message
 
 _PLAN = 'seed = 1\n[[rule]]\ndo = "drop"\nevery = 10\n'

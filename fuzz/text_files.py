@@ -14,7 +14,7 @@ from fuzz.reader import Reader, input_file
 from localization.navigation.mission_steps import load_mission
 from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
 from nclient.faults.plan import KINDS, load_plan, parse_plan, plan_text
-from nserver_emu.server.legacy_setup import read_setups
+from nserver_emu.server.config import read_setups
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import KEYS, load_setup
 from worlds.io import SHIPPED, load_world

@@ -6,7 +6,24 @@
 
 Programs read `listening KIND ADDRESS` lines from stdout; everything else goes to stderr. Exit codes are those of
 nclient.common.process.
+
+Options of `nserver`, the original's spelling of some of them, and the checks for wrong usage.
+
+    read_options(parser, words) ──> options; or an error message and exit code 2
+
+Files are only checked for existence here. Options of a package are defined in the package (`add_options`).
+
+Notification of a service manager, as sd_notify(3) specifies it: datagrams to NOTIFY_SOCKET.
+
+    READY=1      all ports are open             WATCHDOG=1    the event loop runs; sent twice within WATCHDOG_USEC
+    STOPPING=1   the daemon ends                nothing       where no service manager started the daemon
+
+The watchdog message comes from the event loop that serves the clients, so that a blocked loop is detected. Notification
+never waits and never fails the daemon: what the manager does not accept, because its queue is full or it restarts, is
+sent again later. This is logged once, until it accepts messages again.
 """
+
+from __future__ import annotations
 
 import argparse
 import asyncio
@@ -14,52 +31,324 @@ import contextlib
 import logging
 import os
 import signal
+import socket
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import indent
+from typing import Final
 
 import numpy as np
 
-from nclient.common import process
-from nclient.common.allowlist import allowlist_from_options, warning
-from nclient.common.arguments import Parser
+from nclient.common import allowlist, process
+from nclient.common.allowlist import LOOPBACK, allowlist_from_options, warning
+from nclient.common.arguments import (
+    ABOVE_ZERO,
+    Parser,
+    add_flag,
+    add_version,
+    number,
+    protect_coordinates,
+    whole_number,
+)
+from nclient.common.hints import suggest
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.format import read_recording
 from nserver_emu import logs
 from nserver_emu.control import cli, snapshot
-from nserver_emu.control.recording import RunHeader, replay
-from nserver_emu.control.save_options import SaveFile, autosaved, resolve_restore
-from nserver_emu.control.socket import controlled, may_have_faults
+from nserver_emu.control import commands as control_options
+from nserver_emu.control import recording as restore_options
+from nserver_emu.control.commands import controlled, may_have_faults
+from nserver_emu.control.recording import RunHeader, SaveFile, autosaved, replay, resolve_restore
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
-from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
+from nserver_emu.ros import options as ros_options
 from nserver_emu.ros.options import running_ros
-from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl
-from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
+from nserver_emu.server import admission, serial_lines
+from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, limits_of, make_room
+from nserver_emu.server.config import (
+    MAX_ROBOTS,
+    MODEL_NAMES,
+    LegacySetup,
+    SimulationConfig,
+    read_setups,
+    robot_placements,
+)
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.legacy_setup import LegacySetup, read_setups
-from nserver_emu.server.limits import limits_of, make_room
-from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
-from nserver_emu.server.server_state import Allowed, SimulationClock
-from nserver_emu.service import STOPPING, ServiceManager, announced
+from nserver_emu.server.serial_session import FaultController
+from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR, Allowed, SimulationClock
 from nserver_emu.simulation.acoustics import FIRST_ECHO, Polaroid
+from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.visibility import NEAREST_OBSTACLE, load_compiled
+from nserver_emu.viewer import options as viewer_options
+from nserver_emu.viewer.classroom import WORLD as CLASS_WORLD
 from nserver_emu.viewer.classroom import read_class
 from nserver_emu.viewer.options import running_viewer
 from worlds.cells import braille_picture
-from worlds.io import load_world, world_names
+from worlds.io import DEFAULT_WORLD, load_world, world_names
+
+# The port that clients of the original use by default.
+DEFAULT_PORT = 7019
+# Value of --speed for as fast as possible.
+MAX_SPEED = "max"
+SETUP_SUFFIX = ".setup"
+# robot.setup and world.setup.
+MAX_SETUPS = 2
+OLD_OPTIONS = ("help", "noisy", "port")
+"""Options that the original accepted after a single dash, abbreviated to any number of letters."""
+
+
+def nserver_parser(*, with_files: bool = True) -> Parser:
+    """Return the parser with all options, and with the files that `nserver` takes as arguments or without them."""
+    parser = Parser(
+        prog="nserver",
+        description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
+        epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
+        "nserver ctl --help: commands for a running daemon",
+    )
+    if with_files:
+        parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
+                            help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and "
+                            "the original's robot.setup and world.setup, of which the documented keys are read")
+    parser.add_argument("--port", type=whole_number("a port", 0, 65535),
+                        help=f"TCP port to listen on (default: {DEFAULT_PORT}; 0 takes a free one)")
+    parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
+                        help=f"address to listen on (default: {LOOPBACK}; the protocol has no authentication)")
+    _add_robots(parser)
+    _add_time(parser)
+    _add_persistence(parser)
+    _add_setup(parser)
+    # Packages add their own options, in the order of --help.
+    for package in (serial_lines, real_options, control_options, allowlist, admission, viewer_options, ros_options):
+        package.add_options(parser)
+    add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
+    logs.add_options(parser)
+    add_version(parser)
+    return parser
+
+
+def _add_robots(parser: Parser) -> None:
+    parser.add_argument("--robot", action="append", metavar="MODEL",
+                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default: "
+                        f"{MODEL_NAMES[0]}); repeatable, for robot 2 and so on")
+    parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
+                        help="number of robots (default: 1), numbered 1 to N; clients find the second at nserver://HOST/2")
+    parser.add_argument("--model-file", type=Path, metavar="FILE",
+                        help="read a TOML file of models that override or extend the built-in ones")
+    parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
+                        help="set the start pose in inches and degrees; repeatable, for robot 2 and so on")
+    parser.add_argument("--seed", type=whole_number("a seed", 0, 2**31 - 1), default=0,
+                        help="set the seed of all noise (default: 0)")
+
+
+def _add_time(parser: Parser) -> None:
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
+                        help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
+                        f"{MAX_SPEED} (default: 1)")
+    add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
+    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
+    parser.add_argument("--lockstep", type=step, metavar="DT",
+                        help="advance simulated time by DT seconds per client request, and only then")
+    add_flag(parser, "--allow-control", "allow clients to pause, step and speed up simulated time")
+    add_flag(parser, "--allow-quit", "allow clients to end the server")
+
+
+def _add_persistence(parser: Parser) -> None:
+    parser.add_argument("--restore", type=Path, metavar="FILE",
+                        help="continue a saved simulation with its world, robots, seed and setup, at its pace unless "
+                        "--speed, --paused or --lockstep is given; with --save of the same file start a new one if the "
+                        "file does not exist")
+    restore_options.add_options(parser)
+    parser.add_argument("--record", type=Path, metavar="FILE",
+                        help="record all traffic to FILE, with everything --replay needs")
+    parser.add_argument("--replay", type=Path, metavar="FILE",
+                        help="repeat the requests of a recording, compare every byte of the replies, and exit; world, "
+                        "robots, seed and setup are the recording's")
+
+
+def _add_setup(parser: Parser) -> None:
+    parser.add_argument("--setup", type=_setup, metavar="KIND | FILE.toml",
+                        help="select the noise: ideal (default), noisy (ramps, noise of motion and sonars), measured "
+                        "(acoustics of a Polaroid ring, compass error), worn (systematic wheel errors); or a file "
+                        "based on one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] (all "
+                        "keys are in docs/setups.md)")
+    add_flag(parser, "--noisy", "the same as --setup noisy")
+
+
+def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse the words; add `world`, the old setup files (`setups`) and `keeps_pace` to the options."""
+    # 1. Old spellings and coordinates, then argparse.
+    words = [protect_coordinates(as_long_option(word)) for word in words]
+    options: argparse.Namespace = parser.parse_args(words)
+    # 2. Positional words: a world and the original's setup files.
+    default_world = CLASS_WORLD if options.class_file else DEFAULT_WORLD
+    options.world, options.setups = _sorted_files(parser, options.files, default_world)
+    # 3. Combinations that argparse cannot express.
+    _refuse_unknown_models(parser, options)
+    _refuse_contradictions(parser, options, words)
+    serial_lines.refuse(parser, options)
+    real_options.refuse(parser, options)
+    viewer_options.refuse(parser, options)
+    ros_options.refuse(parser, options)
+    restore_options.check_options(parser, options, words)
+    # 4. With --restore the saved pace applies unless an option of time was given.
+    options.keeps_pace = restore_options.keeps_pace(parser, words)
+    return options
+
+
+def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Report a model that neither the built-in ones nor a model file can have."""
+    for name in options.robot or ():
+        if options.model_file is None and name.lower() not in MODEL_NAMES:
+            hint = suggest(name.lower(), MODEL_NAMES)
+            parser.error(f"argument --robot: no model {name!r}; there are {', '.join(MODEL_NAMES)}{hint}")
+
+
+def _refuse_contradictions(parser: argparse.ArgumentParser, options: argparse.Namespace, words: list[str]) -> None:
+    """Report options that would be ignored beside another."""
+    if options.noisy and options.setup not in (None, NOISY.name):
+        parser.error(f"argument --noisy: it is --setup {NOISY.name}, and --setup says {options.setup}: leave one out")
+    if options.lockstep and restore_options.given_options(parser, words, ["speed"]):
+        parser.error("argument --speed: in lockstep time passes with each request: leave --speed or --lockstep out")
+
+
+def as_long_option(word: str) -> str:
+    """Return the long form of an abbreviated option of the original, such as -noisy or -p."""
+    # Only letters after one dash; -v and other short options are the beginning of no old name.
+    letters = word[1:]
+    if not word.startswith("-") or not letters.isalpha():
+        return word
+    return next((f"--{name}" for name in OLD_OPTIONS if name.startswith(letters)), word)
+
+
+def _sorted_files(parser: argparse.ArgumentParser, files: list[str], default: str) -> tuple[str, list[Path]]:
+    """Return the world and the old setup files: those with their suffix, or that exist and are no TOML."""
+    setups = [name for name in files if _is_setup(name)]
+    worlds = [name for name in files if not _is_setup(name)]
+    if len(worlds) > 1 or len(setups) > MAX_SETUPS:
+        parser.error(f"one world and two setup files at most, not {' '.join(files)}")
+    return (worlds[0] if worlds else default), [Path(name) for name in setups]
+
+
+def _is_setup(name: str) -> bool:
+    path = Path(name)
+    # A file of any name is a setup if it exists, and is neither TOML nor the name of a shipped world.
+    return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
+
+
+def _speed(text: str) -> float | None:
+    if text == MAX_SPEED:
+        return None
+    expected = f"a speed is {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or {MAX_SPEED}"
+    return number(expected, MIN_TIME_FACTOR, MAX_TIME_FACTOR)(text)
+
+
+def _setup(text: str) -> str:
+    """Return the name of a setup, or of a file, which is read later."""
+    if text not in SETUPS and not text.endswith(SUFFIX):
+        raise argparse.ArgumentTypeError(
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
+            f"{suggest(text, SETUPS)}"
+        )
+    return text
+
+
+def _host(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError(f"an address or a host name, such as {LOOPBACK}, or 0.0.0.0 for all")
+    return text
+
 
 log = logging.getLogger(__name__)
+
+READY: Final = "READY=1"
+STOPPING: Final = "STOPPING=1"
+WATCHDOG: Final = "WATCHDOG=1"
+_US_PER_S: Final = 1e6
+_RETRY_S: Final = 1.0
+"""Interval at which unaccepted messages are repeated where there is no watchdog."""
+
+
+class ServiceManager:
+    """The service manager that started the daemon.
+
+    Parameters
+    ----------
+    environment : NOTIFY_SOCKET, a path or @abstract name; WATCHDOG_USEC, for process WATCHDOG_PID or for all.
+    """
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        # Environment variables are inherited: only the process that is named has a watchdog.
+        is_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        timeout_us = environment.get("WATCHDOG_USEC", "")
+        has_watchdog = bool(self._address) and is_for_us and timeout_us.isdecimal()
+        self.feed_s = int(timeout_us) / _US_PER_S / 2 if has_watchdog else 0.0
+        """Interval of watchdog messages; 0 without a watchdog."""
+        self._unsent: list[str] = []
+        self._accepts = True
+
+    @property
+    def interval_s(self) -> float:
+        """Seconds to the next message; 0: none."""
+        return self.feed_s or (_RETRY_S if self._unsent else 0.0)
+
+    def feed(self) -> None:
+        """Repeat unsent messages, and send the watchdog message."""
+        self.notify(*self._unsent, *([WATCHDOG] if self.feed_s else []))
+
+    def notify(self, *messages: str) -> None:
+        """Send messages, one per line; unaccepted ones are sent again later, except WATCHDOG."""
+        if not self._address:
+            return
+        # An old watchdog message says nothing about now.
+        self._unsent = [message for message in messages if message != WATCHDOG]
+        # An abstract socket is written with @ in the variable and with a zero byte in the address.
+        address = self._address.replace("@", "\0", 1) if self._address[0] == "@" else self._address
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                # A full queue must not block the event loop.
+                sender.setblocking(False)
+                sender.sendto("\n".join(messages).encode(), address)
+        except OSError as error:
+            # Logged once per interruption.
+            if self._accepts:
+                log.warning("the service manager at %s does not listen: %s; trying again", self._address, error)
+            self._accepts = False
+            return
+        if not self._accepts:
+            log.warning("the service manager at %s listens again", self._address)
+        self._accepts, self._unsent = True, []
+
+
+@contextlib.asynccontextmanager
+async def announced(manager: ServiceManager) -> AsyncIterator[None]:
+    """Report that the daemon is ready, and feed the watchdog meanwhile."""
+    manager.notify(READY)
+    feeding = asyncio.create_task(_feed(manager)) if manager.interval_s else None
+    try:
+        yield
+    finally:
+        if feeding is not None:
+            feeding.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await feeding
+
+
+async def _feed(manager: ServiceManager) -> None:
+    while manager.interval_s:
+        manager.feed()
+        await asyncio.sleep(manager.interval_s)
+
 
 CONTROL = "ctl"
 """First word of a command for a running daemon."""
@@ -156,11 +445,11 @@ async def _serve_with(
     # 2. Daemon, with a gateway between clients and simulation if there are real robots.
     gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
     daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
-    limits = limits_of(options)
-    pages = limits.page_connections * sum(map(bool, (options.viewer, options.rosbridge)))
-    room = make_room(limits.connections + RESERVED_CONNECTIONS + pages)
-    limits = replace(limits, connections=min(limits.connections, room))
-    daemon.admission = AdmissionControl(limits, allowlist_from_options(options))
+    admission = limits_of(options)
+    pages = admission.page_connections * sum(map(bool, (options.viewer, options.rosbridge)))
+    room = make_room(admission.connections + RESERVED_CONNECTIONS + pages)
+    admission = replace(admission, connections=min(admission.connections, room))
+    daemon.admission = AdmissionControl(admission, allowlist_from_options(options))
     daemon.places |= real_options.line_addresses(options)
     # 3. Signals, before the first port is open.
     stop = asyncio.Event()
@@ -220,8 +509,10 @@ def _run_header(options: argparse.Namespace, robot: str) -> RunHeader:
         options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
     )
     pace = SimulationClock(options.speed, options.paused, options.lockstep)
-    limits = limits_of(options)
-    allowed = Allowed(options.allow_quit, options.allow_control, limits.obstacles, limits.graphics, limits.frame)
+    admission = limits_of(options)
+    allowed = Allowed(
+        options.allow_quit, options.allow_control, admission.obstacles, admission.graphics, admission.frame
+    )
     return RunHeader(setting, pace, allowed, options.restore, options.keeps_pace)
 
 

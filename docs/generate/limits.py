@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from nclient.recording.format import MAX_LINE
-from nserver_emu.server.limits import SNAPSHOT_BYTES, TABLE
+from nserver_emu.server.admission import SNAPSHOT_BYTES, TABLE
 from worlds.schema import MAX_BYTES
 
 

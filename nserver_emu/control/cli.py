@@ -21,8 +21,15 @@ from nclient.common.hints import suggest
 from nclient.common.process import ExitCode
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
-from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
-from nserver_emu.control.socket import MAX_LINE, default_path, socket_path
+from nserver_emu.control.commands import (
+    BY_NAME,
+    COMMANDS,
+    MAX_LINE,
+    MAX_SPEED,
+    ControlCommand,
+    default_path,
+    socket_path,
+)
 from nserver_emu.simulation.noise import PARTS, SETUPS
 from worlds.io import read_world_text
 

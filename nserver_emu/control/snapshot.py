@@ -29,13 +29,13 @@ import numpy as np
 from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
+from nserver_emu.server.admission import SNAPSHOT_BYTES
 from nserver_emu.server.config import MAX_ROBOTS
 from nserver_emu.server.graphics import Graphics, GraphicsState, SpeechLog, Traces, TracesState, Utterance
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import SNAPSHOT_BYTES
 from nserver_emu.server.server_state import SimulationClock, state_slots
 from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.simulation.arm import Arm, ArmState
+from nserver_emu.simulation.axis import Arm, ArmState
 from nserver_emu.simulation.simulation import Simulation, SimulationState
 from nserver_emu.simulation.sonar import SonarNoise, SonarState
 from worlds.rings import nomad_ring

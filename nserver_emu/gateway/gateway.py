@@ -2,7 +2,7 @@
 
     call ──> real_robot, simulated_robot: select which of the two a connection's robot is, for all its clients
          ──> world, window, server; robots without a real counterpart: the simulation
-         ──> everything else: RealRobotProxy ──> translate.plan ──> ownership ──> RobotWorker ──> deferred reply
+         ──> everything else: RealRobotProxy ──> plan ──> ownership ──> RobotWorker ──> deferred reply
 
 Access to one real robot (`Ownership`):
 
@@ -11,27 +11,260 @@ Access to one real robot (`Ownership`):
     all other changes       the owner; every connection while there is none
 
 Nothing here waits, starts a thread or reads a clock: the clock is passed in, and a reply that needs time is deferred.
+
+Shadow simulation: the simulated robot repeats the real one's calls, and the two states are compared.
+
+    calls that the real robot made ──> the same calls to the simulation ──> both State vectors ──> ShadowReport
+
+The differences are real minus simulated, per quantity, in inches, degrees and seconds. A sonar is compared where both
+robots have an echo; cases in which only one has an echo are counted. 255 is no echo, 0 a defective sonar.
 """
 
+from __future__ import annotations
+
+import csv
+import io
+import json
 import logging
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from nclient.backends.base import Backend
-from nclient.errors import AddressError
+from nclient.common.files import write_errors_as
+from nclient.errors import AddressError, RecordingError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING
-from nserver_emu.gateway import translate
-from nserver_emu.gateway.robot_worker import SLOW, STOP, Job, JobResult, RobotWorker
-from nserver_emu.gateway.shadow import ShadowSimulation, SimulatedBackend
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, EVERYTHING, FULL_TURN_TENTHS, Model, rad_from_tenths
+from nclient.protocol.wire_state import tcp_wire_state
+from nserver_emu.gateway import real_robot
+from nserver_emu.gateway.real_robot import SLOW, STOP, Job, JobResult, Link, RobotWorker, whole_state
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, done, error_reply
+from nserver_emu.server.server_state import state_slots
+from nserver_emu.server.session import REFUSED, Answer, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)
+
+# Slots of State
+_X, _Y, _STEERING, _TURRET = 34, 35, 36, 37
+_POSE: Final = slice(34, 38)
+_VELOCITIES: Final = range(38, 41)
+_INFRAREDS: Final = range(1, 17)
+_SONARS: Final = range(17, 33)
+
+_NO_ECHO: Final = (0, 255)
+_SIMULATION_SPEED: Final = 0
+ALL_SONARS: Final = "sonars_in"
+SYNCHRO_VELOCITIES: Final = ("translation_in_s", "steering_deg_s", "turret_deg_s")
+WHEEL_VELOCITIES: Final = ("right_wheel_in_s", "left_wheel_in_s")
+_COLUMNS: Final = ("count", "mean", "std", "max", "last", "one_sided")
+
+
+@dataclass(slots=True)
+class RunningStatistics:
+    """Mean, standard deviation and extreme of a sequence of differences that is not stored.
+
+    Attributes
+    ----------
+    largest : the difference farthest from 0, with its sign.
+    one_sided : number of times that only one of the two robots had a reading.
+
+    References
+    ----------
+    B. P. Welford, "Note on a method for calculating corrected sums of squares and products", Technometrics 4 (1962).
+    """
+
+    count: int = 0
+    mean: float = 0.0
+    largest: float = 0.0
+    last: float = 0.0
+    one_sided: int = 0
+    _sum_of_squares: float = 0.0
+
+    def add(self, difference: float) -> None:
+        """Add a difference d. Welford: M2 += (d - old mean) (d - new mean)."""
+        self.count += 1
+        deviation = difference - self.mean
+        self.mean += deviation / self.count
+        self._sum_of_squares += deviation * (difference - self.mean)
+        self.last = difference
+        if abs(difference) > abs(self.largest):
+            self.largest = difference
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the sample; 0 for fewer than two differences."""
+        return math.sqrt(self._sum_of_squares / (self.count - 1)) if self.count > 1 else 0.0
+
+    def as_numbers(self) -> dict[str, Any]:
+        """Return the figures of a report."""
+        return {"count": self.count, "mean": self.mean, "std": self.std, "max": self.largest, "last": self.last,
+                "one_sided": self.one_sided}  # fmt: skip
+
+
+class ShadowReport:
+    """Differences between a real robot and its simulation; `quantities` by name, in the order of State."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.states = 0
+        self._axes = SYNCHRO_VELOCITIES if model.has_turret else WHEEL_VELOCITIES
+        self._infrareds = [f"infrared_{number}" for number in range(16)] if model.has_infrared else []
+        self._sonars = [f"sonar_{number}_in" for number in range(16)]
+        names = ("x_in", "y_in", "steering_deg", "turret_deg", *self._axes, "compass_deg", "bumpers", *self._infrareds,
+                 ALL_SONARS, *self._sonars)  # fmt: skip
+        self.quantities = {name: RunningStatistics() for name in names}
+
+    def compare(self, real: Sequence[int], simulated: Sequence[int]) -> None:
+        """Add the differences of two State vectors of one moment: 45 numbers each in wire units, bumpers clean."""
+        self.states += 1
+        # 1. Positions and velocities, tenths of an inch or degree.
+        lengths = [(_X, "x_in"), (_Y, "y_in"), *zip(_VELOCITIES, self._axes, strict=False)]
+        for slot, name in lengths:
+            self.quantities[name].add((real[slot] - simulated[slot]) / 10)
+        # 2. Angles.
+        for slot, name in ((_STEERING, "steering_deg"), (_TURRET, "turret_deg"), (COMPASS_SLOT, "compass_deg")):
+            self.quantities[name].add(angle_difference_deg(real[slot] - simulated[slot]))
+        # 3. Bumpers (number of differing bits) and range sensors.
+        self.quantities["bumpers"].add((real[BUMPER_SLOT] ^ simulated[BUMPER_SLOT]).bit_count())
+        for slot, name in zip(_INFRAREDS, self._infrareds, strict=False):
+            self.quantities[name].add(real[slot] - simulated[slot])
+        for slot, name in zip(_SONARS, self._sonars, strict=True):
+            self._compare_sonar(name, real[slot], simulated[slot])
+
+    def summary(self) -> str:
+        """Return one line: mean and standard deviation of the main quantities, and the number of one-sided echoes."""
+        parts = [
+            f"{name} {found.mean:+.2f} ± {found.std:.2f}"
+            for name, found in self.quantities.items()
+            if name in ("x_in", "y_in", "steering_deg", ALL_SONARS)
+        ]
+        one_sided = self.quantities[ALL_SONARS].one_sided
+        return f"{self.states} states: {', '.join(parts)}; {one_sided} echoes measured by one alone"
+
+    def _compare_sonar(self, name: str, real: int, simulated: int) -> None:
+        echoes = (real not in _NO_ECHO) + (simulated not in _NO_ECHO)
+        for found in (self.quantities[name], self.quantities[ALL_SONARS]):
+            if echoes == 2:
+                found.add(real - simulated)
+            else:
+                found.one_sided += echoes
+
+    def write(self, address: str, path: Path) -> None:
+        """Write the report: CSV for a .csv file, else JSON.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be written.
+        """
+        text = self.as_csv() if path.suffix.lower() == ".csv" else self.as_json(address)
+        with write_errors_as(RecordingError, path, "the report of the shadow"):
+            path.write_text(text, encoding="utf-8")
+
+    def as_json(self, address: str) -> str:
+        """Return address, model, number of compared states, and the quantities by name."""
+        whole = {
+            "robot": address,
+            "model": self.model.name,
+            "states": self.states,
+            "difference": "real less simulated",
+            "quantities": {name: found.as_numbers() for name, found in self.quantities.items()},
+        }
+        return json.dumps(whole, indent=2) + "\n"
+
+    def as_csv(self) -> str:
+        """Return the quantities, one row each, below a row of names."""
+        text = io.StringIO()
+        rows = csv.DictWriter(text, ("quantity", *_COLUMNS), lineterminator="\n")
+        rows.writeheader()
+        for name, found in self.quantities.items():
+            rows.writerow({"quantity": name, **found.as_numbers()})
+        return text.getvalue()
+
+
+def angle_difference_deg(difference_tenths: int) -> float:
+    """Wrap a difference of two directions, in tenths of a degree, to [-180, 180) degrees."""
+    half = FULL_TURN_TENTHS // 2
+    return ((difference_tenths + half) % FULL_TURN_TENTHS - half) / 10
+
+
+class SimulatedBackend:
+    """A simulated robot as a client backend. Deferred replies are dropped: the shadow does not wait for them."""
+
+    greeting: Reply | None = None
+    port = 1
+    closed = False
+    link = None
+
+    def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
+        self.wire_state = tcp_wire_state(model)
+        self._simulate = simulate
+        self._context = ConnectionContext(self.wire_state, robot_id)
+
+    def execute(self, call: Call) -> Reply:
+        """Return the simulation's reply.
+
+        Raises
+        ------
+        RobotRefused
+            If the simulation refuses the call.
+        """
+        answer = self._simulate(call, self._context)
+        if not isinstance(answer, Reply):
+            return Reply("none")
+        if answer.kind == "error":
+            raise RobotRefused(call.name, answer.values[0])
+        return answer
+
+    def close(self) -> None:
+        """Do nothing: the backend holds no resources."""
+
+
+class ShadowSimulation:
+    """Repeats a real robot's calls on the simulated robot and compares their states.
+
+    The simulation's encoders start where the robot's are; its position in the map is the start pose of the simulation.
+
+    Parameters
+    ----------
+    backend : the simulated robot as a backend.
+    robot : returns the simulated robot.
+    link : the link to the real robot.
+    """
+
+    def __init__(self, backend: Backend, robot: Callable[[], SimulatedRobot], link: Link) -> None:
+        self.report = ShadowReport(link.model)
+        self._backend = backend
+        self._robot = robot
+        self._link = link
+        self._is_aligned = False
+
+    def update(self, calls: Iterable[Call], state: Reply | None) -> None:
+        """Make the calls that the robot made; compare with its state, if there is one."""
+        for call in calls:
+            try:
+                self._backend.execute(call)
+            except RobotRefused as error:
+                log.warning("shadow: %s%s in the simulation: %s", call.name, call.args, error)
+        if state is None:
+            return
+        real = whole_state(state, self._link)
+        if not self._is_aligned:
+            self._align(real)
+        self.report.compare(real, state_slots(self._robot(), _SIMULATION_SPEED))
+
+    def _align(self, real: list[int]) -> None:
+        x, y, steering, turret = real[_POSE]
+        self._robot().define_position(x / 10, y / 10)
+        self._robot().define_angles(rad_from_tenths(steering), rad_from_tenths(turret))
+        self._is_aligned = True
+
 
 # Calls that only the owner may make, or any connection while there is none.
 _CHANGES: Final = MOTIONS | {
@@ -135,7 +368,7 @@ class RealRobotProxy:
         """Return the reply to a connection's call, or a deferred reply."""
         self._note_owner_alive(context)
         # 1. Translate: the calls for the robot, and the reply that is made from its last answer.
-        translated = translate.plan(call, context, self.robot.link)
+        translated = real_robot.plan(call, context, self.robot.link)
         if isinstance(translated, int):
             return error_reply(translated)
         # 2. Check that this connection may do that.
@@ -149,11 +382,11 @@ class RealRobotProxy:
                 translated = translated._replace(calls=self._set_stamp_mask(context) or translated.calls)
             case "conf_tm":
                 self._timeout = (context, translated.calls[0].args[0]) if call.args[0] > 0 else None
-                translated = translate.TranslatedCall((self._timeout_call(),), translated.build_reply)
+                translated = real_robot.TranslatedCall((self._timeout_call(),), translated.build_reply)
             case _:
                 pass
         # 4. Queue the calls. A request for the state shares the reply that others wait for.
-        if translated.calls != (translate.REFRESH,):
+        if translated.calls != (real_robot.REFRESH,):
             return self._defer(self._submit(translated.calls, call), translated.build_reply, context)
         if self.robot.current_command in SLOW and self.last is not None:  # the latest state; its clock shows its age
             return translated.build_reply(context, self.last, self.robot.link)
@@ -208,7 +441,7 @@ class RealRobotProxy:
             is_slow = job.calls[0].name in SLOW  # the shadow began it when it was submitted
             self._update_shadow(() if is_slow else job.simulated_calls, states[-1] if states else None)
 
-    def opening_calls(self, link: translate.Link, reconnected: bool) -> Iterable[Call]:
+    def opening_calls(self, link: real_robot.Link, reconnected: bool) -> Iterable[Call]:
         """Yield the first calls after a (re)connection: stop where the robot was lost, watchdog, mask."""
         if not self.ownership.read_only:
             # While the robot was lost its clients may have wanted it to stop.
@@ -236,8 +469,8 @@ class RealRobotProxy:
     def _elapsed_s(self, since_s: float) -> float:
         """Return the seconds since then at the robot's pace: a simulation behind another Nserver may run faster."""
         # State[0] is ten times the pace.
-        pace = translate.REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, translate.REAL_TIME)
-        return (self._clock() - since_s) * pace / translate.REAL_TIME
+        pace = real_robot.REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, real_robot.REAL_TIME)
+        return (self._clock() - since_s) * pace / real_robot.REAL_TIME
 
     def _submit(self, calls: tuple[Call, ...], request: Call | None = None) -> Job:
         self._last_sent_s = self._clock()
@@ -250,7 +483,7 @@ class RealRobotProxy:
         if self.shadow is not None and self.active:
             self.shadow.update(calls, state)
 
-    def _defer(self, job: Job, build_reply: translate.ReplyBuilder, context: ConnectionContext) -> DeferredReply:
+    def _defer(self, job: Job, build_reply: real_robot.ReplyBuilder, context: ConnectionContext) -> DeferredReply:
         def poll() -> Reply | None:
             self._note_owner_alive(context)
             self.process_results()
@@ -258,7 +491,7 @@ class RealRobotProxy:
 
         return poll
 
-    def _reply(self, result: JobResult, build_reply: translate.ReplyBuilder, context: ConnectionContext) -> Reply:
+    def _reply(self, result: JobResult, build_reply: real_robot.ReplyBuilder, context: ConnectionContext) -> Reply:
         if result.code is not None:
             return error_reply(result.code)
         return build_reply(context, result.replies[-1], self.robot.link)
@@ -292,9 +525,9 @@ class RealRobotProxy:
                 state = result.replies[-1]
                 now_ms = state.clock or 0
                 start_ms = now_ms if start_ms is None else start_ms
-                if translate.moving_axes(state) & axes and (now_ms - start_ms) % _CLOCK_MODULUS_MS < timeout_ms:
+                if real_robot.moving_axes(state) & axes and (now_ms - start_ms) % _CLOCK_MODULUS_MS < timeout_ms:
                     return None
-            return self._reply(result, translate.state_for, context)
+            return self._reply(result, real_robot.state_for, context)
 
         return poll
 
@@ -314,7 +547,7 @@ class RealRobotProxy:
 
     def _timeout_call(self) -> Call:
         timeout_s = TIMEOUT_S if self._timeout is None else self._timeout[1]
-        return Call("conf_tm", (min(timeout_s, translate.MAX_TIMEOUT_S),))
+        return Call("conf_tm", (min(timeout_s, real_robot.MAX_TIMEOUT_S),))
 
 
 class Gateway:
@@ -363,7 +596,7 @@ class Gateway:
             return self._emulator.answer(call, context)
         if call.name in (REAL, SIMULATED):
             return self._switch(proxy, context, to_real=call.name == REAL)
-        if not proxy.active or translate.stays_here(call.name):
+        if not proxy.active or real_robot.stays_here(call.name):
             return self._emulator.answer(call, context)
         answer = self._emulator.estop.execute(call, context, proxy.answer)
         return answer if isinstance(answer, Reply) else self._emulator.estop.until_held(answer, call, context)

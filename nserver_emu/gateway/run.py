@@ -25,7 +25,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import FaultController
+from nserver_emu.server.serial_session import FaultController
 
 log = logging.getLogger(__name__)
 

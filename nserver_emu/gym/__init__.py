@@ -32,8 +32,7 @@ from nserver_emu.gym.environments import (
     WallFollower,
     run_episode,
 )
-from nserver_emu.gym.runner import RunnerOptions
-from nserver_emu.gym.tasks import Explore, GoTo, Task
+from nserver_emu.gym.tasks import Explore, GoTo, RunnerOptions, Task
 
 __all__ = [
     "Episode", "Explore", "GoTo", "Policy", "RandomPolicy", "RobotEnv", "RobotVectorEnv", "RunnerOptions", "Task",
@@ -43,7 +42,7 @@ __all__ = [
 
 def parallel_env(**options: object) -> object:
     """Return an environment of PettingZoo with several robots; see `parallel.RobotsParallelEnv`."""
-    from nserver_emu.gym.parallel import RobotsParallelEnv  # needs PettingZoo, which the other environments do not
+    from nserver_emu.gym.environments import RobotsParallelEnv  # needs PettingZoo, which the other environments do not
 
     return RobotsParallelEnv(**options)  # type: ignore[arg-type]
 

@@ -37,11 +37,9 @@ from nclient.errors import ConnectionLost
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, Message
 from nclient.recording.ros_types import FieldType, MessageBuilder
 from nserver_emu.ros import topics
-from nserver_emu.ros.readings import PERIOD_S, RobotReader, map_message, rings_of
-from nserver_emu.ros.topics import Estimates
+from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer.clients import ViewerClients
-from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.clients import ErrorBoundary, ViewerClients
 from worlds.world import World
 
 log = logging.getLogger(__name__)

@@ -158,7 +158,7 @@ def _rosbridge(
 ) -> AbstractAsyncContextManager[list[str]]:
     _require("--rosbridge", "viewer", "aiohttp")
     from nserver_emu.ros.rosbridge import serve_rosbridge
-    from nserver_emu.viewer.auth import load_tokens
+    from nserver_emu.viewer.http_port import load_tokens
 
     tokens = None if options.rosbridge_token_file is None else load_tokens(options.rosbridge_token_file)
     host, port = options.rosbridge

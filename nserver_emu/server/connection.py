@@ -48,10 +48,16 @@ from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
 from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
-from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
-from nserver_emu.server.link import Arrival, FaultController, FaultyChannel, SerialChannel
+from nserver_emu.server.serial_session import Arrival, FaultController, FaultyChannel, SerialChannel
 from nserver_emu.server.server_state import ServerState
-from nserver_emu.server.session import BaseSession, ClientIdentity, CommandHandler, Session
+from nserver_emu.server.session import (
+    CLOSED_RETENTION_S,
+    BaseSession,
+    ClientIdentity,
+    ClientRegistry,
+    CommandHandler,
+    Session,
+)
 
 log = logging.getLogger(__name__)
 

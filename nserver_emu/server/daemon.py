@@ -29,11 +29,10 @@ from nserver_emu.server.admission import (
     ConnectionReserve,
     ReservableConnection,
 )
-from nserver_emu.server.client_registry import ClientRegistry
 from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultController
-from nserver_emu.server.session import CommandHandler
+from nserver_emu.server.serial_session import FaultController
+from nserver_emu.server.session import ClientRegistry, CommandHandler
 
 log = logging.getLogger(__name__)
 

@@ -31,9 +31,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.server.limits import Limits
-from nserver_emu.simulation.laser import points
+from nserver_emu.server.admission import Limits
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.sensors import points
 
 BLACK: Final = "Black"
 # Colours by number, starting with 1.

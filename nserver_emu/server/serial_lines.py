@@ -26,8 +26,7 @@ from nclient.protocol.types import Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
 from nserver_emu.server.connection import CLOSED, DISCONNECTED, OPEN, READ_SIZE, ConnectionHandler, TcpConnection
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import RateLimitedChannel, SerialChannel
-from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.serial_session import RateLimitedChannel, SerialChannel, SerialSession
 
 if TYPE_CHECKING:
     # The module does not exist on Windows.

@@ -60,16 +60,23 @@ from nclient.protocol.types import (
     tenths,
 )
 from nclient.protocol.wire_state import LINES, POINTS, WireState, serial_wire_state
-from nserver_emu.server.deferred import DeferredReplies, PoseRequests
+from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
 from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers
-from nserver_emu.server.limits import Limits
-from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.server.session import (
+    NOT_AVAILABLE,
+    CachedStateReply,
+    ConnectionContext,
+    DeferredReplies,
+    DeferredReply,
+    PoseRequests,
+    error_reply,
+)
 from nserver_emu.simulation import segments
-from nserver_emu.simulation.arm import Arm
-from nserver_emu.simulation.laser import LineFit, lines, pixels, points
+from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
+from nserver_emu.simulation.sensors import LineFit, lines, pixels, points
 from nserver_emu.simulation.simulation import Simulation
 from worlds.rings import Ring
 from worlds.world import World
@@ -133,7 +140,7 @@ POLL_INTERVAL_PS: Final = PS_PER_S // 10
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """Permissions of clients and the limits that decide replies (limits.py). Field names are keys in recordings."""
+    """Permissions of clients and the limits that decide replies (admission.py). Field names are keys in recordings."""
 
     # End the server with quit_server.
     quit: bool = False

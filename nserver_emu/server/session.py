@@ -15,12 +15,30 @@ it starts with CONNECT and, in most cases, the client's word size:
 
     32-bit client    type, count | word   word   ...
     64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
+
+Identities of connected clients, for old clients that continue over a second connection without another CONNECT.
+
+Such a client's second connection continues one of the connections from the same address:
+
+- one that no other connection continues already, if there are any;
+- of these, one that has sent nothing since its CONNECT but the sensor mask, if there are any.
+
+If the remaining ones differ in their robot or word size, the connection is ambiguous and refused: it could be given the
+robot of another program, or be misread. A word size seen in its first bytes excludes clients of the other size. The
+entry of a closed connection stays while an unidentified connection from the same address is pending. A DISCONNECT
+over the second connection removes the entry of the first too.
+
+No sockets: a connection is represented by any hashable key.
+
+Deferred replies: they need simulated time (ws, zr, arm_ws), or a click in the viewer (get_robot_conf).
 """
+
+from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -32,7 +50,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
-from nserver_emu.server.limits import Limits
+from nserver_emu.server.admission import Limits
 
 log = logging.getLogger(__name__)
 
@@ -436,3 +454,204 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self.context.wire_state.wide = bool(self._framer.wide)
         # An ERROR reply has the same form for every command.
         return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)
+
+
+# Seconds. The close of one connection may be seen this much earlier than the opening of the one that continues it.
+CLOSED_RETENTION_S: Final = 0.2
+
+
+@dataclass(slots=True)
+class _Entry:
+    host: str
+    identity: ClientIdentity
+    is_continued: bool = False
+    is_closed: bool = False
+
+
+class ClientRegistry:
+    """Identities of all connections, in the order in which they were registered."""
+
+    def __init__(self) -> None:
+        self._entries: dict[Hashable, _Entry] = {}
+        # For a connection without CONNECT: the connection that it continues.
+        self._continued: dict[Hashable, Hashable] = {}
+        # Addresses of connections that have not sent enough to be identified.
+        self._pending: dict[Hashable, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def add_pending(self, connection: Hashable, host: str) -> None:
+        """Add a new connection that is not yet identified."""
+        self._pending[connection] = host
+
+    def register(self, connection: Hashable, host: str, identity: ClientIdentity | None) -> None:
+        """Set the identity of a connection, None to remove it."""
+        entry = self._entries.get(connection)
+        if identity is None:
+            self._entries.pop(connection, None)
+        elif entry is None:
+            self._entries[connection] = _Entry(host, identity)
+        else:
+            entry.identity = identity
+        self._resolve(connection)
+
+    def lookup(self, connection: Hashable, host: str, wide: bool | None) -> list[ClientIdentity]:
+        """Return the identity that a new connection without CONNECT continues.
+
+        Parameters
+        ----------
+        connection, host
+            The new connection and its address.
+        wide
+            True for 64-bit words, False for 32-bit words, None if the first bytes do not show it.
+
+        Returns
+        -------
+        list
+            One identity; none if there is no such client; several, with different robots or word sizes, if the
+            connection is ambiguous.
+        """
+        # 1. Entries from this address with a matching word size.
+        matching = {
+            other: entry
+            for other, entry in self._entries.items()
+            if entry.host == host and wide in (None, entry.identity.wide)
+        }
+        # 2. Prefer clients that nothing continues yet, and of these the ones that only connected: old clients open
+        #    their second connection right after that.
+        originals = {other: entry for other, entry in matching.items() if other not in self._continued}
+        fresh = {other: entry for other, entry in originals.items() if not entry.is_continued}
+        silent = {other: entry for other, entry in fresh.items() if entry.identity.silent}
+        candidates = silent or fresh or originals or matching
+        # 3. Continue one if it makes no difference which.
+        distinct = {entry.identity[:2]: entry.identity for entry in candidates.values()}
+        if len(distinct) == 1:
+            first = next(iter(candidates))
+            candidates[first].is_continued = True
+            self._continued[connection] = first
+        self._resolve(connection)
+        return list(distinct.values())
+
+    def remove(self, connection: Hashable, *, disconnected: bool = False) -> None:
+        """Mark a connection as closed; `disconnected`: after DISCONNECT, which ends the one it continued too."""
+        if connection in self._entries:
+            self._entries[connection].is_closed = True
+        first = self._continued.pop(connection, None)
+        if disconnected:
+            self._entries.pop(connection, None)
+            self._entries.pop(first, None)
+        self._resolve(connection)
+
+    def _resolve(self, connection: Hashable) -> None:
+        """End the pending state of a connection and drop closed entries that no pending connection can continue."""
+        self._pending.pop(connection, None)
+        pending_hosts = set(self._pending.values())
+        for other in [other for other, e in self._entries.items() if e.is_closed and e.host not in pending_hosts]:
+            del self._entries[other]
+
+
+# Replies that need simulated time.
+
+
+class PolledReply:
+    """A deferred reply that is built at the moment it is due, however late its session fetches it."""
+
+    def __init__(self, context: ConnectionContext, poll: DeferredReply) -> None:
+        self.context = context
+        self.reply: Reply | None = None
+        self._poll = poll
+
+    def __call__(self) -> Reply | None:
+        """Return the reply if it exists now."""
+        if self.reply is None:
+            self.reply = self._poll()
+        return self.reply
+
+
+class DeferredReplies:
+    """All deferred replies, polled each time simulated time has passed."""
+
+    def __init__(self) -> None:
+        self._pending: list[PolledReply] = []
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def add(self, context: ConnectionContext, poll: DeferredReply) -> PolledReply:
+        """Add the deferred reply of a connection."""
+        reply = PolledReply(context, poll)
+        self._pending.append(reply)
+        return reply
+
+    def poll(self) -> None:
+        """Build the replies that are due."""
+        self._pending = [reply for reply in self._pending if reply() is None]
+
+    def cancel(self, context: ConnectionContext) -> None:
+        """Drop the deferred replies of a connection."""
+        self._pending = [reply for reply in self._pending if reply.context is not context]
+
+
+# get_robot_conf: a pose clicked in the viewer.
+
+# x, y, steering and turret in tenths.
+ClickedPose = tuple[int, int, int, int]
+
+
+@dataclass(eq=False, slots=True)
+class PoseRequest:
+    """A connection that waits for a pose."""
+
+    robot_id: int
+    context: ConnectionContext
+    pose: ClickedPose | None = None
+
+
+class PoseRequests:
+    """Pending requests for a clicked pose. One click answers all requests for that robot."""
+
+    def __init__(self) -> None:
+        # True while a viewer with permission to click is open; without one, requests are answered at once.
+        self.open = False
+        self._requests: list[PoseRequest] = []
+
+    def add(
+        self, robot_id: int, context: ConnectionContext, default: Callable[[], ClickedPose]
+    ) -> Callable[[], ClickedPose | None]:
+        """Request a pose of a robot.
+
+        Returns
+        -------
+        Callable
+            Poll it until it returns a pose. It returns `default()` as soon as no viewer is open.
+        """
+        request = PoseRequest(robot_id, context)
+        self._requests.append(request)
+
+        def poll() -> ClickedPose | None:
+            if request.pose is None and not self.open:
+                self._requests = [other for other in self._requests if other is not request]
+                request.pose = default()
+            return request.pose
+
+        return poll
+
+    def counts(self) -> dict[int, int]:
+        """Return the number of pending requests by robot."""
+        counts: dict[int, int] = {}
+        for request in self._requests:
+            counts[request.robot_id] = counts.get(request.robot_id, 0) + 1
+        return counts
+
+    def answer(self, robot_id: int, pose: ClickedPose) -> bool:
+        """Answer the requests for a robot with a clicked pose; return True if there were any."""
+        pending = [request for request in self._requests if request.robot_id == robot_id]
+        for request in pending:
+            request.pose = pose
+        self._requests = [request for request in self._requests if request.pose is None]
+        return bool(pending)
+
+    def cancel(self, context: ConnectionContext) -> None:
+        """Drop the requests of a closed connection."""
+        self._requests = [request for request in self._requests if request.context is not context]

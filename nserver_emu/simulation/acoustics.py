@@ -1,30 +1,126 @@
 """Acoustics of the Polaroid sonars: the model of a ring, its settings, and the walls as reflectors.
 
-The paths of sound are in echo_paths.py, the walls that they meet first in visible_walls.py, the surfaces of walls in
-surfaces.py.
+The paths of sound are in echo_paths.py, the walls that they meet first in visibility.py.
+
+The surfaces of real walls: levels beside the plane that the map has, and posts that scatter sound.
+
+Measured along a corridor, the residuals of a wall are not white: a door stands back by some centimetres over its whole
+width, a pillar or a skirting stands out. So a wall's surface is a level that stays for an exponentially distributed
+length and is then drawn anew, independent of the last one. Two points d apart are on the same level with probability
+exp(-d / length), which is then also the correlation of their errors:
+
+    level        normal, standard deviation `std_in`; towards the left side of the wall
+    stretches    exponential, mean `length_in`
+    posts        a Poisson process along the wall, mean distance `post_spacing_in`
+
+A surface depends on the seed of the run and on the wall alone: it is the same for all robots, at all times.
+
+References
+----------
+Papoulis, Probability, Random Variables, and Stochastic Processes (1991), section 10.1: the random telegraph signal, and
+its exponential correlation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from math import ceil, cos, inf, radians, sin, sqrt
 from typing import Any, Final, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
-from nserver_emu.simulation import echo_paths, visible_walls
+from nserver_emu.simulation import echo_paths, visibility
 from nserver_emu.simulation.echo_paths import Attenuation
 from nserver_emu.simulation.segments import PS_PER_S
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
-from nserver_emu.simulation.surfaces import Surfaces
-from nserver_emu.simulation.visible_walls import BLOCK, Reflectors
+from nserver_emu.simulation.visibility import BLOCK, Reflectors
 from worlds import raycast
 from worlds.compiled import CompiledFunction
 from worlds.geometry import NO_DISCS, FloatArray
 from worlds.rings import MAX_SONARS
 from worlds.robots import SONARS, Body
+
+SURFACE_STREAM: Final = 4
+"""Key of the random streams of surfaces; those of robots begin with the number of the robot and have two numbers."""
+
+
+class WallSurface(NamedTuple):
+    """The surface of one wall.
+
+    Attributes
+    ----------
+    breaks_in
+        Distances from the wall's first end at which a level begins (k,), the first 0.
+    levels_in
+        Inches by which it stands out to the left of the wall (k,).
+    posts_in
+        Distances of the posts from the first end (p,).
+    post_levels_in
+        The levels at the posts (p,).
+    """
+
+    breaks_in: FloatArray
+    levels_in: FloatArray
+    posts_in: FloatArray
+    post_levels_in: FloatArray
+
+    def level_in(self, along_in: FloatArray) -> FloatArray:
+        """Return the levels at distances from the first end, inches."""
+        return _level_in(self.breaks_in, self.levels_in, along_in)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The surfaces of all walls of a run: of a wall when it is first needed.
+
+    Attributes
+    ----------
+    seed
+        Seed of the run.
+    std_in, length_in, post_spacing_in
+        See the module; a spacing of 0 means no posts.
+    """
+
+    seed: int
+    std_in: float
+    length_in: float
+    post_spacing_in: float
+    _found: dict[bytes, WallSurface] = field(default_factory=dict, compare=False, repr=False)
+
+    def of(self, wall: FloatArray) -> WallSurface:
+        """Return the surface of a wall x1 y1 x2 y2."""
+        key = wall.tobytes()
+        if key not in self._found:
+            self._found[key] = self._draw(float(np.hypot(*(wall[2:] - wall[:2]))), crc32(key))
+        return self._found[key]
+
+    def of_all(self, walls: FloatArray) -> list[WallSurface]:
+        """Return the surfaces of walls (m, 4), and forget those of others: obstacles come and go without end."""
+        surfaces = {wall.tobytes(): self.of(wall) for wall in walls}
+        self._found.clear()
+        self._found.update(surfaces)
+        return [surfaces[wall.tobytes()] for wall in walls]
+
+    def _draw(self, length_in: float, wall: int) -> WallSurface:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(SURFACE_STREAM, wall, 0)))
+        breaks_in = np.append(0.0, _poisson_points(length_in, self.length_in, rng))
+        levels_in = self.std_in * rng.standard_normal(len(breaks_in))
+        posts_in = _poisson_points(length_in, self.post_spacing_in, rng) if self.post_spacing_in else np.empty(0)
+        return WallSurface(breaks_in, levels_in, posts_in, _level_in(breaks_in, levels_in, posts_in))
+
+
+def _level_in(breaks_in: FloatArray, levels_in: FloatArray, along_in: FloatArray) -> FloatArray:
+    levels: FloatArray = levels_in[np.searchsorted(breaks_in, along_in, side="right") - 1]
+    return levels
+
+
+def _poisson_points(length_in: float, spacing_in: float, rng: np.random.Generator) -> FloatArray:
+    """Return points of a Poisson process on a line, in order: their number is Poisson, their places uniform."""
+    return np.sort(length_in * rng.random(rng.poisson(length_in / spacing_in)))
+
 
 NOISE_SIGMAS: Final = 6.0
 """Standard deviations of noise that are allowed for where distant walls are left out: one draw in 1e9 goes beyond."""
@@ -107,7 +203,7 @@ def _example() -> tuple[Any, ...]:
     return np.zeros((1, 4)), 1.0, 0.0, 0.0, losses, walls, np.zeros((3, 0)), 1.0
 
 
-FIRST_ECHO: Final = CompiledFunction(echo_paths.first_echo, lambda: (echo_paths, visible_walls, raycast), _example)
+FIRST_ECHO: Final = CompiledFunction(echo_paths.first_echo, lambda: (echo_paths, visibility, raycast), _example)
 """The first echo of a ping, plain or compiled."""
 
 
@@ -208,7 +304,7 @@ class Polaroid(SonarErrors):
     recess_in
         Depth of the transducer's face behind the ring.
     surface_std_in, surface_length_in, post_spacing_in, post_loss_db
-        The surfaces of walls (surfaces.py), and the loss at a post. A standard deviation and a spacing of 0: planes.
+        The surfaces of walls (`Surfaces`), and the loss at a post. A standard deviation and a spacing of 0: planes.
     """
 
     range_std_relative: float = relative_std(0.01)

@@ -17,7 +17,7 @@ Other robots are discs:
 Each path leaves and arrives inside the cones; it has a level, and the points between which it must be free. The first
 free one that is loud enough is the echo. The ping of another sonar of the ring that is still in flight is detected like
 the sonar's own, and gives too short a range (cross-talk). Not modelled: side lobes, paths off three walls and more or
-off two robots, later pings, pings of other robots. The surface of a wall may have levels and posts (surfaces.py).
+off two robots, later pings, pings of other robots. The surface of a wall may have levels and posts (acoustics.py).
 
 numba compiles these functions unchanged (acoustics.py). Rows of numbers are lists in plain Python and arrays in
 compiled code; only operations that give the same bits in both are used. Empty lists are written as comprehensions that
@@ -32,7 +32,7 @@ mirrors, edges as scatterers, the beam's directivity.
 from math import asin, atan2, cos, inf, log10, sin, sqrt, tan
 from typing import Any, Final, NamedTuple
 
-from nserver_emu.simulation.visible_walls import (
+from nserver_emu.simulation.visibility import (
     TINY,
     Beam,
     Reflectors,

@@ -41,10 +41,9 @@ from nclient.common.hints import suggest
 from nclient.common.validation import InvalidValue, Text, convert, given, one_of, reported_as
 from nclient.errors import AddressError, WorldFileError
 from nserver_emu.simulation.acoustics import Polaroid, SonarErrors
-from nserver_emu.simulation.compass import NO_COMPASS_NOISE, CompassNoise
-from nserver_emu.simulation.infrared import NO_INFRARED_NOISE, InfraredNoise
 from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, NO_NOISE, MotionNoise, Odometry
+from nserver_emu.simulation.sensors import NO_COMPASS_NOISE, NO_INFRARED_NOISE, CompassNoise, InfraredNoise
 from nserver_emu.simulation.settings import Key, keys_of, setting
 from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
 from worlds.robots import Calibration

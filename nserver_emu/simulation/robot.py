@@ -18,11 +18,9 @@ import numpy as np
 
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.collision import WallSet
-from nserver_emu.simulation.compass import Compass, CompassState, last_reading_ps
 from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
-from nserver_emu.simulation.infrared import InfraredRing, InfraredState
-from nserver_emu.simulation.laser import ranges, select_columns
 from nserver_emu.simulation.models import N150, RobotModel
+from nserver_emu.simulation.multi_robot import STATIONARY, Disc, SweptBounds
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_model
 from nserver_emu.simulation.odometry import Encoders, EncoderState
 from nserver_emu.simulation.segments import (
@@ -38,8 +36,16 @@ from nserver_emu.simulation.segments import (
     to_ps,
     to_s,
 )
+from nserver_emu.simulation.sensors import (
+    Compass,
+    CompassState,
+    InfraredRing,
+    InfraredState,
+    last_reading_ps,
+    ranges,
+    select_columns,
+)
 from nserver_emu.simulation.sonar import SonarRing, SonarState
-from nserver_emu.simulation.spatial_hash import STATIONARY, Disc, SweptBounds
 from nserver_emu.simulation.visibility import NO_OTHERS, PositionProvider, SensorPose
 from worlds.geometry import FloatArray
 from worlds.world import StartPose

@@ -10,13 +10,20 @@ from math import hypot
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.multi_robot import GroupState, MovingBody, RobotGroup, update_obstacles
+from nserver_emu.simulation.multi_robot import (
+    Disc,
+    GroupState,
+    MovingBody,
+    RobotGroup,
+    SimulatedWalker,
+    SpatialHash,
+    WalkerState,
+    update_obstacles,
+)
 from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
-from nserver_emu.simulation.spatial_hash import Disc, SpatialHash
 from nserver_emu.simulation.visibility import load_compiled
-from nserver_emu.simulation.walkers import SimulatedWalker, WalkerState
 from worlds.world import StartPose, Walker, World, WorldState
 
 

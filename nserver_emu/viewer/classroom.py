@@ -29,7 +29,7 @@ WORLD: Final = "arena"
 LINKS_SUFFIX: Final = ".links.csv"
 HEADER: Final = ("name", "robot", "token", "page", "program")
 TEACHER: Final = "teacher"
-# As in auth.py: characters of a URL that need no escape, 96 bits at least.
+# As in http_port.py: characters of a URL that need no escape, 96 bits at least.
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
 _MAX_NAME: Final = 40
 MAX_BYTES: Final = 1_000_000

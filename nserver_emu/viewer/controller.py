@@ -29,14 +29,12 @@ from nclient.protocol.wire_state import WireState
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import messages
-from nserver_emu.viewer.auth import Access
-from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
 from nserver_emu.viewer.classroom import refusal
-from nserver_emu.viewer.clients import Answer, ViewerClient, ViewerClients
-from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.clients import Answer, ErrorBoundary, ViewerClient, ViewerClients
+from nserver_emu.viewer.http_port import Access
 from nserver_emu.viewer.localizers import Localizers
-from nserver_emu.viewer.messages import STALE_S, Tape, parse_published
-from nserver_emu.viewer.traffic import TrafficMonitor
+from nserver_emu.viewer.messages import STALE_S, Tape, TrafficMonitor, parse_published
+from nserver_emu.viewer.scene import Broadcaster, Viewer
 from worlds.io import SHIPPED, format_world, load_world, world_names
 
 log = logging.getLogger(__name__)

@@ -29,7 +29,7 @@ from nclient.common.hints import suggest
 from nclient.common.process import NOMAD
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.viewer.auth import to_loopback
+from nserver_emu.viewer.http_port import to_loopback
 from nserver_emu.viewer.messages import InvalidMessage, LocalizationMethod
 from worlds.io import format_world
 from worlds.world import StartPose, World

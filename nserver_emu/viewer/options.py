@@ -88,8 +88,8 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
     async with AsyncExitStack() as open_page:
         try:
             require_aiohttp()
-            from nserver_emu.viewer.auth import address, load_tokens
             from nserver_emu.viewer.classroom import write_links
+            from nserver_emu.viewer.http_port import address, load_tokens
             from nserver_emu.viewer.server import serve_viewer
 
             token_file = options.viewer_token_file

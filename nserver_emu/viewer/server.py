@@ -5,10 +5,10 @@
     GET /ws?token=T    the websocket         POST /publish?token=T    estimates of a localizer (localizers.py)
     GET /health, /metrics                    state of the daemon, for Prometheus and monitors
 
-Everything about the simulation requires a token: to act, only to watch (auth.py), or a student's (classroom.py); health
-and metrics are open to loopback. A websocket must come from a page of this server: its Origin must be the requested
-Host. The page loads nothing from other sites, which its Content-Security-Policy enforces. A page that does not answer
-or receive is disconnected within CONNECTION_LOST_S.
+Everything about the simulation requires a token: to act, only to watch (http_port.py), or a student's (classroom.py);
+health and metrics are open to loopback. A websocket must come from a page of this server: its Origin must be the
+requested Host. The page loads nothing from other sites, which its Content-Security-Policy enforces. A page that does
+not answer or receive is disconnected within CONNECTION_LOST_S.
 """
 
 from __future__ import annotations
@@ -26,13 +26,12 @@ from aiohttp import WSMsgType, web
 
 from nclient.common.allowlist import LOOPBACK_NAME, is_loopback, is_same_machine
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.viewer import auth
-from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
+from nserver_emu.viewer import http_port
 from nserver_emu.viewer.classroom import TEACHER, Student
 from nserver_emu.viewer.controller import ViewerController
 from nserver_emu.viewer.http_port import Handler, HttpPort, PageMessages, PageWriter, local_address, loop_time
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
-from nserver_emu.viewer.scene import Modes, SceneHistory, laser_modes
+from nserver_emu.viewer.scene import Broadcaster, Modes, SceneHistory, Viewer, laser_modes
 
 log = logging.getLogger(__name__)
 
@@ -51,9 +50,9 @@ class ViewerServer:
     """The page of one daemon. `token` allows everything, `watch_token` only watching, a student's only one robot."""
 
     def __init__(
-        self, daemon: Daemon, tokens: auth.Tokens | None = None, students: Sequence[Student] = ()
+        self, daemon: Daemon, tokens: http_port.Tokens | None = None, students: Sequence[Student] = ()
     ) -> None:
-        self._tokens = tokens or auth.new_tokens()
+        self._tokens = tokens or http_port.new_tokens()
         self._students = students
         self.token, self.watch_token = self._tokens
         self.broadcaster = Broadcaster(SceneHistory(daemon.emulator))
@@ -89,7 +88,7 @@ class ViewerServer:
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
         self._port.start_clock(self._tick)
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        self.controller.localizers.page_url = f"http://{auth.to_loopback(place)}/?token={self.token}"
+        self.controller.localizers.page_url = f"http://{http_port.to_loopback(place)}/?token={self.token}"
         return port
 
     async def close(self) -> None:
@@ -114,7 +113,7 @@ class ViewerServer:
         numbers = [number for number, robot in robots.items() if robot.model.has_light_sensors]
         return laser_modes(self._daemon.connections, numbers)
 
-    def _access(self, request: web.Request) -> auth.Access:
+    def _access(self, request: web.Request) -> http_port.Access:
         """Return what the token of a request allows; raise HTTPForbidden if it is unknown."""
         self._check_host(request)
         access = self._access_of(request.query.get("token", ""))
@@ -122,30 +121,30 @@ class ViewerServer:
             raise web.HTTPForbidden(text="the token is wrong: use the whole address that nserver printed\n")
         return access
 
-    def _access_of(self, token: str) -> auth.Access | None:
+    def _access_of(self, token: str) -> http_port.Access | None:
         may_act = self._tokens.may_act(token)
         if may_act is not None:
-            return auth.Access(may_act, name=TEACHER if may_act and self._students else "")
+            return http_port.Access(may_act, name=TEACHER if may_act and self._students else "")
         # All are compared, so that the time does not depend on the token.
         coded = token.encode(errors="replace")
         found = [student for student in self._students if hmac.compare_digest(coded, student.token.encode())]
-        return auth.Access(True, found[0].robot, found[0].name) if found else None
+        return http_port.Access(True, found[0].robot, found[0].name) if found else None
 
     def _check_host(self, request: web.Request) -> None:
-        if not auth.is_known_host(request.host, self._host_name):
+        if not http_port.is_known_host(request.host, self._host_name):
             raise web.HTTPForbidden(text=f"this page is not served as {request.host!a}: use its numeric address\n")
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
         self._check_host(request)
         if "token" in request.query and self._access_of(request.query["token"]) is None:
-            raise web.HTTPForbidden(text=auth.REFUSED, content_type="text/html")
+            raise web.HTTPForbidden(text=http_port.REFUSED, content_type="text/html")
         return web.FileResponse(PAGE / "index.html")
 
     def _require_local_or_token(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request comes from this machine or has a token."""
         # Monitoring on this machine needs no token; the Host check still excludes pages of other sites.
         is_local = is_same_machine(request.remote or "", local_address(request))
-        if not is_local or not auth.is_known_host(request.host, self._host_name):
+        if not is_local or not http_port.is_known_host(request.host, self._host_name):
             self._access(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:
@@ -172,7 +171,7 @@ class ViewerServer:
         # 1. Token, origin and number of pages, before the websocket is accepted.
         access = self._access(request)
         origin = request.headers.get("Origin", "")
-        if not auth.is_same_origin(origin, request.scheme, request.host):
+        if not http_port.is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
         # However many pages a class opens, its teacher gets one.
         accepted = self._port.websocket(request, "pages are open", MAX_TEXT, is_limited=access.name != TEACHER)
@@ -238,7 +237,7 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 @contextlib.asynccontextmanager
 async def serve_viewer(
-    daemon: Daemon, host: str, port: int, tokens: auth.Tokens | None = None, model_file: Path | None = None,
+    daemon: Daemon, host: str, port: int, tokens: http_port.Tokens | None = None, model_file: Path | None = None,
     students: Sequence[Student] = (), own_methods: Sequence[str] = (), *, localizes: bool = False,
 ) -> AsyncIterator[list[str]]:
     """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped.
@@ -255,7 +254,7 @@ async def serve_viewer(
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
                     "ssh -L %d:127.0.0.1:%d forwards a page on loopback to another machine", port, port)
     try:
-        yield [f"listening viewer {auth.address(host, port)}/?token={viewer_server.token}"]
+        yield [f"listening viewer {http_port.address(host, port)}/?token={viewer_server.token}"]
     finally:
         await viewer_server.close()
 

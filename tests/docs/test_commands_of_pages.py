@@ -12,7 +12,7 @@ import pytest
 
 from localization.experiments import __main__
 from nclient.cli import main
-from nserver_emu.options import nserver_parser
+from nserver_emu.cli import nserver_parser
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

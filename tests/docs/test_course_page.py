@@ -6,7 +6,7 @@ import json
 import re
 
 from docs.generate import course
-from nserver_emu.challenge_command import CHALLENGES, REFUSED_CALLS
+from nserver_emu.nomad_commands import CHALLENGES, REFUSED_CALLS
 from tests.docs.pages import DOCS, ROOT, command_lines, run
 
 

@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 from nclient.cli.main import GROUP
+from nserver_emu.cli import nserver_parser, read_options
 from nserver_emu.control.commands import ControlledServer, answer_line
-from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.server.config import read_setups
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.legacy_setup import read_setups
 from nserver_emu.simulation.simulation import Simulation
 from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
 from worlds.io import load_world, parse_world, world_names

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nserver_emu.options import nserver_parser
+from nserver_emu.cli import nserver_parser
 from tests.docs.pages import ROOT, code_blocks, command_lines, run
 
 PAGE = "own-filter.md"

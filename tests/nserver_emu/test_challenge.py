@@ -12,7 +12,7 @@ import pytest
 
 from nclient.cli.main import main
 from nclient.protocol.commands import Call
-from nserver_emu.challenge_command import CHALLENGES, REFUSED_CALLS, Referee, _run_program, score
+from nserver_emu.nomad_commands import CHALLENGES, REFUSED_CALLS, Referee, _run_program, score
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.server.server_state import SimulationClock

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nserver_emu import cli
-from nserver_emu.options import as_long_option
+from nserver_emu.cli import as_long_option
 from tests.nserver_emu.server.wire_client import WireClient
 from tests.programs.forked import Forked
 

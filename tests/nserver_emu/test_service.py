@@ -17,9 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from nserver_emu import service
-from nserver_emu.options import nserver_parser
-from nserver_emu.service import ServiceManager, announced
+from nserver_emu import cli
+from nserver_emu.cli import ServiceManager, announced, nserver_parser
 
 UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
 
@@ -87,7 +86,7 @@ async def test_an_absent_service_manager_is_notified_later(
 async def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
     manager: socket.socket, place: str, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(service, "_RETRY_S", 0.001)
+    monkeypatch.setattr(cli, "_RETRY_S", 0.001)
     manager.setblocking(False)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as crowd, contextlib.suppress(BlockingIOError):
         crowd.setblocking(False)
@@ -108,10 +107,10 @@ def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:
     unit = configparser.RawConfigParser(strict=False)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read(UNIT)
-    service = dict(unit["Service"])
-    assert (service["Type"], service["WatchdogSec"], service["NoNewPrivileges"]) == ("notify", "30", "yes")
-    options = shlex.split(service["Environment"])[0].partition("=")[2]
-    command = service["ExecStart"].replace("$NSERVER_OPTIONS", options)
+    cli = dict(unit["Service"])
+    assert (cli["Type"], cli["WatchdogSec"], cli["NoNewPrivileges"]) == ("notify", "30", "yes")
+    options = shlex.split(cli["Environment"])[0].partition("=")[2]
+    command = cli["ExecStart"].replace("$NSERVER_OPTIONS", options)
     for folder in ("${STATE_DIRECTORY}", "${RUNTIME_DIRECTORY}"):
         command = command.replace(folder, str(tmp_path))
     words = shlex.split(command)

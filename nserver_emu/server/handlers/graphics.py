@@ -19,8 +19,7 @@ from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, pack_ring
 from nserver_emu.server.graphics import Figure, Layer, Utterance
 from nserver_emu.server.server_state import ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
-from nserver_emu.simulation.arm import Arm
-from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.axis import Arm, Command
 
 _SENSORS = (Layer.BUMPER, Layer.INFRARED, Layer.SONAR, Layer.LASER)
 # Layers redrawn by each refresh command.

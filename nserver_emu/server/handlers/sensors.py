@@ -27,8 +27,7 @@ from nserver_emu.server.server_state import (
     velocity_tenths,
 )
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
-from nserver_emu.simulation.compass import CompassMode
-from nserver_emu.simulation.infrared import INFRAREDS
+from nserver_emu.simulation.sensors import INFRAREDS, CompassMode
 
 # First State slots of pose and velocities.
 _POSE_SLOT, _VELOCITY_SLOT = 34, 38

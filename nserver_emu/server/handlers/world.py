@@ -20,13 +20,20 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.deferred import ClickedPose
 from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
-from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
-from nserver_emu.simulation.laser import MAX_RANGE_IN as LASER_RANGE_IN
+from nserver_emu.server.session import (
+    BAD_VALUES,
+    REFUSED,
+    ClickedPose,
+    ConnectionContext,
+    DeferredReply,
+    done,
+    error_reply,
+)
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.sensors import LASER_RANGE_IN as LASER_RANGE_IN
 from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, near_walls, nearest_points
 from worlds.raycast_arrays import cast_rays

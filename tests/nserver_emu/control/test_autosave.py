@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from nclient.errors import SnapshotError
+from nserver_emu.cli import nserver_parser, read_options
 from nserver_emu.control import snapshot
-from nserver_emu.control.save_options import SaveFile, autosaved
-from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.control.recording import SaveFile, autosaved
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import simulation
 

@@ -20,7 +20,7 @@ from nserver_emu.control import snapshot
 from nserver_emu.control.commands import BY_NAME, answer_line, answer_line_in_thread
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultController
+from nserver_emu.server.serial_session import FaultController
 from nserver_emu.server.server_state import SimulationClock
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
 from worlds.io import parse_world

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import ConnectionLost
-from nserver_emu.control import socket as control_socket
-from nserver_emu.control.socket import ControlSocket, default_path
+from nserver_emu.control import commands as control_socket
+from nserver_emu.control.commands import ControlSocket, default_path
 
 
 @pytest.fixture

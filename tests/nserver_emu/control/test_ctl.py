@@ -15,8 +15,7 @@ import pytest
 from nserver_emu import cli
 from nserver_emu.control import cli as ctl
 from nserver_emu.control import cli as ctl_answers
-from nserver_emu.control.commands import COMMANDS
-from nserver_emu.control.socket import default_path
+from nserver_emu.control.commands import COMMANDS, default_path
 from worlds.io import SHIPPED
 
 

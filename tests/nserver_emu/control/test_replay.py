@@ -25,7 +25,7 @@ from nserver_emu.control.recording import MAX_STEP_S, RunHeader, replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import MAX_CATCH_UP_S
-from nserver_emu.server.handlers.server import MAX_STEP_MS
+from nserver_emu.server.handlers.table import MAX_STEP_MS
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.server_state import MAX_TIME_FACTOR, Allowed, SimulationClock
 from tests.nserver_emu.server.lockstep_run import request

@@ -27,7 +27,7 @@ from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.graphics import MAX_POINTS, Figure
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import open_address
-from nserver_emu.simulation.arm import Arm
+from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.sonar import MAX_EARLIER_PINGS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.world import StartPose

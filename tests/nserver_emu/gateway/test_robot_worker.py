@@ -10,15 +10,15 @@ import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import Call
-from nserver_emu.gateway.robot_worker import (
+from nserver_emu.gateway.real_robot import (
     MAX_RETRY_PAUSE_S,
     MIN_RETRY_PAUSE_S,
     NO_ANSWER,
     Job,
     JobResult,
+    Link,
     RobotWorker,
 )
-from nserver_emu.gateway.translate import Link
 from tests.nserver_emu.gateway.harness import LINE_STATE, ScriptedRobot
 
 GS, ST, VM = Call("gs"), Call("st"), Call("vm", (50, 0, 0))

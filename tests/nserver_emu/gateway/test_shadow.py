@@ -11,7 +11,7 @@ import pytest
 
 from nclient.errors import RecordingError
 from nclient.protocol.types import N150, N200, SCOUT
-from nserver_emu.gateway.shadow import ALL_SONARS, RunningStatistics, ShadowReport, angle_difference_deg
+from nserver_emu.gateway.gateway import ALL_SONARS, RunningStatistics, ShadowReport, angle_difference_deg
 
 
 def state(**slots: int) -> list[int]:

@@ -10,7 +10,7 @@ from nclient.protocol.commands import BY_NAME, COMMANDS, Call, exists_on_serial
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
-from nserver_emu.gateway.translate import (
+from nserver_emu.gateway.real_robot import (
     Link,
     TranslatedCall,
     convert_laser,
@@ -21,7 +21,7 @@ from nserver_emu.gateway.translate import (
     whole_state,
 )
 from nserver_emu.server.session import ConnectionContext
-from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
+from nserver_emu.simulation.sensors import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.harness import LINE_STATE
 from worlds.robots import N200 as N200_BODY
 

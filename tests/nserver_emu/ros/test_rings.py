@@ -8,14 +8,13 @@ import pytest
 
 from nclient.recording.ros_messages import RANGE, SCAN, Message
 from nserver_emu.ros import topics
-from nserver_emu.ros.readings import RobotReader
-from nserver_emu.ros.topics import Estimates
+from nserver_emu.ros.topics import Estimates, RobotReader
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import RobotModel, parse_models
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.clients import ErrorBoundary
 from worlds.io import load_world
 from worlds.world import StartPose
 

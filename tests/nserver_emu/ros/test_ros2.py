@@ -16,8 +16,7 @@ from cyclonedds.qos import Policy
 
 from nserver_emu.ros.dds import running_node
 from nserver_emu.ros.options import LOOPBACK, config_of
-from nserver_emu.ros.readings import MAX_DELAY_S, RobotClock
-from nserver_emu.ros.topics import Estimates
+from nserver_emu.ros.topics import MAX_DELAY_S, Estimates, RobotClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S, parse_estimate

@@ -16,12 +16,18 @@ import numpy as np
 import pytest
 
 from nclient.errors import ConnectionLost
-from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.cli import nserver_parser, read_options
 from nserver_emu.ros import topics
-from nserver_emu.ros.client import MAX_SUBSCRIPTIONS, RosbridgeClient, Services, encode_published
-from nserver_emu.ros.readings import MAP_CELL_IN, MAX_MAP_CELLS, map_cell_in
-from nserver_emu.ros.rosbridge import MAX_MESSAGE, RosbridgeServer, serve_rosbridge
-from nserver_emu.ros.topics import Reading
+from nserver_emu.ros.rosbridge import (
+    MAX_MESSAGE,
+    MAX_SUBSCRIPTIONS,
+    RosbridgeClient,
+    RosbridgeServer,
+    Services,
+    encode_published,
+    serve_rosbridge,
+)
+from nserver_emu.ros.topics import MAP_CELL_IN, MAX_MAP_CELLS, Reading, map_cell_in
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.clients import ViewerClients

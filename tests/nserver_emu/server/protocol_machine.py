@@ -51,7 +51,7 @@ from nserver_emu.server.connection import TcpConnection
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultController
+from nserver_emu.server.serial_session import FaultController
 from nserver_emu.server.server_state import TIMELESS, Allowed, StateSnapshot, state_slots
 from nserver_emu.server.session import NOT_CONNECTED, REFUSED, CommandHandler, ConnectionContext, DeferredReply
 from nserver_emu.simulation.models import MODELS

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.simulation.arm import GRIP_TRAVEL_IN, LIFT_TRAVEL_IN, Arm
-from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.axis import GRIP_TRAVEL_IN, LIFT_TRAVEL_IN, Arm, Command
 
 
 def test_a_lift_moves_in_the_time_of_a_trapezoid() -> None:

@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.server.link import MAX_COMPENSATED_S, MAX_IN_TRANSIT, PIECE_BYTES, Arrival, RateLimitedChannel
+from nserver_emu.server.serial_session import (
+    MAX_COMPENSATED_S,
+    MAX_IN_TRANSIT,
+    PIECE_BYTES,
+    Arrival,
+    RateLimitedChannel,
+)
 
 BAUD = 38400
 BYTE_S = 10 / BAUD

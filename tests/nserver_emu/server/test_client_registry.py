@@ -8,8 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING
 from nserver_emu.server import session
-from nserver_emu.server.client_registry import ClientRegistry
-from nserver_emu.server.session import ClientIdentity
+from nserver_emu.server.session import ClientIdentity, ClientRegistry
 
 HOME, ELSEWHERE = "127.0.0.1", "10.0.0.7"
 

@@ -21,9 +21,9 @@ from nserver_emu.server.admission import (
     AcceptErrorHandler,
     AdmissionControl,
     ConnectionReserve,
+    Limits,
     ReservableConnection,
 )
-from nserver_emu.server.limits import Limits
 from tests.nserver_emu.server.running_server import running_server
 
 

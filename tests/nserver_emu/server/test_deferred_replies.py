@@ -7,11 +7,10 @@ import pytest
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.deferred import DeferredReplies
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.server.server_state import Allowed, SimulationClock
-from nserver_emu.server.session import ConnectionContext, Session
+from nserver_emu.server.session import ConnectionContext, DeferredReplies, Session
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 
 STEP = 4

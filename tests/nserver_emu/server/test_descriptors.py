@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from nserver_emu.server.limits import OTHER_DESCRIPTORS, make_room
+from nserver_emu.server.admission import OTHER_DESCRIPTORS, make_room
 
 Pair = tuple[int, int]
 

@@ -6,7 +6,7 @@ import pytest
 
 from nclient.errors import FaultPlanError
 from nclient.faults.plan import Direction, Drop, Plan, Rule, When
-from nserver_emu.server.link import FaultController
+from nserver_emu.server.serial_session import FaultController
 
 LINES = ("nserver", "serial:1", "robotd:2")
 

@@ -7,7 +7,7 @@ import pytest
 from nclient.faults.frames import LINE_NAK, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import BOTH, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
-from nserver_emu.server.link import MAX_IN_TRANSIT, Arrival, FaultyChannel, RateLimitedChannel
+from nserver_emu.server.serial_session import MAX_IN_TRANSIT, Arrival, FaultyChannel, RateLimitedChannel
 
 GS, VM = build_frame(7), build_frame(5, bytes(6))
 REQUEST = frozenset({Direction.REQUEST})

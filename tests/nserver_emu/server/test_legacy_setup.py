@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import SetupFileError
-from nserver_emu.server import legacy_setup
-from nserver_emu.server.legacy_setup import LegacySetup, parse_setup, read_setups
+from nserver_emu.server import config
+from nserver_emu.server.config import LegacySetup, parse_setup, read_setups
 
 ROBOT = r"""
 ; the robot of room 12
@@ -75,7 +75,7 @@ def test_a_fault_is_named_by_file_and_line(tmp_path: Path, text: str, match: str
 def test_an_unreadable_file_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SetupFileError, match=r"nothing\.setup: .*be read"):
         read_setups([tmp_path / "nothing.setup"])
-    monkeypatch.setattr(legacy_setup, "MAX_BYTES", 10)
+    monkeypatch.setattr(config, "MAX_BYTES", 10)
     with pytest.raises(SetupFileError, match="is longer than"):
         read_setups([written(tmp_path, "big.setup", "; 123456789")])
 

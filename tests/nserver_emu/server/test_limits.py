@@ -21,10 +21,9 @@ from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
 from nserver_emu.logs import MAX_REPEATS, RepeatLimiter
-from nserver_emu.server.admission import AdmissionControl
+from nserver_emu.server.admission import TABLE, AdmissionControl, Limits, add_options, limits_of
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
 from nserver_emu.server.server_state import Allowed
 from tests.nserver_emu.server.running_server import Client, RunningServer, running_server
 from tests.nserver_emu.server.wire_client import simulation

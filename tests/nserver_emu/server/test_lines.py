@@ -24,9 +24,9 @@ from nclient.protocol.types import EVERYTHING, MODELS, Mask
 from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import RateLimitedChannel
 from nserver_emu.server.pty import PseudoTerminal
 from nserver_emu.server.serial_lines import PtyConnection, RobotdConnection, robot_line
+from nserver_emu.server.serial_session import RateLimitedChannel
 from nserver_emu.server.server_state import SimulationClock
 from tests.nserver_emu.server.line_host import emulated
 from tests.nserver_emu.server.running_server import serving

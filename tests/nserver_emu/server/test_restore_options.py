@@ -216,7 +216,7 @@ def test_a_saved_run_continues_from_its_file(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
-    caplog.set_level("INFO", "nserver_emu.control.save_options")
+    caplog.set_level("INFO", "nserver_emu.control.recording")
     assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
     assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
     assert started[0].clock == SAVED_PACE

@@ -10,8 +10,8 @@ import pytest
 from nclient.protocol.types import EVERYTHING, Mask, Position
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.acoustics import Ping
-from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.sensors import InfraredRing
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from tests.nserver_emu.server.wire_client import WireClient, meet

@@ -8,17 +8,17 @@ from math import pi, radians, sin, tau
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.compass import (
-    INTERVAL_PS,
+from nserver_emu.simulation.noise import IDEAL, RobotSetup
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.segments import to_ps
+from nserver_emu.simulation.sensors import (
+    COMPASS_INTERVAL_PS,
     NO_COMPASS_NOISE,
     Compass,
     CompassMode,
     CompassNoise,
     last_reading_ps,
 )
-from nserver_emu.simulation.noise import IDEAL, RobotSetup
-from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import StartPose
 
@@ -37,11 +37,12 @@ def compass(noise: CompassNoise = NO_COMPASS_NOISE) -> Compass:
 
 def test_readings_are_due_every_tenth_of_a_second() -> None:
     needle = compass()
-    assert needle.due_ps == INTERVAL_PS
-    assert last_reading_ps(INTERVAL_PS) == INTERVAL_PS
-    assert last_reading_ps(to_ps(0.78)) == 7 * INTERVAL_PS
-    needle.read(7 * INTERVAL_PS, 1.0, 1.0)
-    assert (needle.direction_rad, needle.read_ps, needle.due_ps) == (1.0, 7 * INTERVAL_PS, 8 * INTERVAL_PS)
+    assert needle.due_ps == COMPASS_INTERVAL_PS
+    assert last_reading_ps(COMPASS_INTERVAL_PS) == COMPASS_INTERVAL_PS
+    assert last_reading_ps(to_ps(0.78)) == 7 * COMPASS_INTERVAL_PS
+    needle.read(7 * COMPASS_INTERVAL_PS, 1.0, 1.0)
+    expected = (1.0, 7 * COMPASS_INTERVAL_PS, 8 * COMPASS_INTERVAL_PS)
+    assert (needle.direction_rad, needle.read_ps, needle.due_ps) == expected
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.037, 0.5, 3.0])
@@ -73,10 +74,10 @@ def test_calibration_by_a_full_turn_removes_the_deviation() -> None:
     needle = compass(IRON)
 
     def turn(count: int) -> None:
-        start = needle.read_ps // INTERVAL_PS
+        start = needle.read_ps // COMPASS_INTERVAL_PS
         # Readings at the interval of the compass, 0.1 rad apart.
         for number in range(start + 1, start + 1 + count):
-            needle.read(number * INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
+            needle.read(number * COMPASS_INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
 
     turn(10)
     # After 10 readings: 1.0 rad and the deviation of the iron.
@@ -96,14 +97,14 @@ def test_calibration_by_a_full_turn_removes_the_deviation() -> None:
 def test_off_keeps_the_reading_and_unknown_modes_are_refused() -> None:
     needle = compass()
     # Mode 0 is off: the reading stays and time goes on.
-    needle.read(INTERVAL_PS, 1.0, 1.0)
+    needle.read(COMPASS_INTERVAL_PS, 1.0, 1.0)
     needle.configure(0, 1.0)
-    needle.read(2 * INTERVAL_PS, 2.0, 2.0)
-    assert (needle.direction_rad, needle.read_ps) == (1.0, INTERVAL_PS)
-    assert needle.due_ps == 3 * INTERVAL_PS
+    needle.read(2 * COMPASS_INTERVAL_PS, 2.0, 2.0)
+    assert (needle.direction_rad, needle.read_ps) == (1.0, COMPASS_INTERVAL_PS)
+    assert needle.due_ps == 3 * COMPASS_INTERVAL_PS
     needle.configure(1, 2.0)
-    needle.read(3 * INTERVAL_PS, 2.0, 2.0)
-    assert (needle.direction_rad, needle.read_ps) == (2.0, 3 * INTERVAL_PS)
+    needle.read(3 * COMPASS_INTERVAL_PS, 2.0, 2.0)
+    assert (needle.direction_rad, needle.read_ps) == (2.0, 3 * COMPASS_INTERVAL_PS)
     with pytest.raises(ValueError, match="7"):
         needle.configure(7, 0.0)
 
@@ -114,9 +115,9 @@ def test_each_reading_has_noise_of_its_own() -> None:
     each, last = compass(noise), compass(noise)
     read = []
     for number in range(1, 2001):
-        each.read(number * INTERVAL_PS, pi, 0.0)
+        each.read(number * COMPASS_INTERVAL_PS, pi, 0.0)
         read.append(each.direction_rad)
-    last.read(2000 * INTERVAL_PS, pi, 0.0)
+    last.read(2000 * COMPASS_INTERVAL_PS, pi, 0.0)
     assert last.direction_rad == each.direction_rad
     # The mean of 2000 readings is accurate to 0.01 / 45 rad.
     assert np.mean(read) == pytest.approx(pi, abs=0.001)

@@ -7,8 +7,9 @@ from math import cos, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.infrared import (
-    INTERVAL_PS,
+from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp
+from nserver_emu.simulation.sensors import (
+    INFRARED_INTERVAL_PS,
     MANY_WALLS,
     MAX_PENDING,
     NO_INFRARED_NOISE,
@@ -16,7 +17,6 @@ from nserver_emu.simulation.infrared import (
     InfraredNoise,
     InfraredRing,
 )
-from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
 from worlds.geometry import FloatArray
 from worlds.robots import N200
@@ -54,7 +54,7 @@ def test_the_ring_flashes_every_60_ms_and_is_off_without_sensors() -> None:
     # Instants in picoseconds, from 7.
     sensors.configure(0, ALL, 7)
     for number in range(3):
-        assert sensors.due_ps == 7 + number * INTERVAL_PS
+        assert sensors.due_ps == 7 + number * INFRARED_INTERVAL_PS
         sensors.flash_due(HERE, stamp(number))
     assert sensors.stamps == (stamp(2),) * 16
     # 255 as the first entry switches the ring off; readings stay.

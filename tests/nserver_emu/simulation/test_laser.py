@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, select_columns
 from nserver_emu.simulation.models import N200 as SIMULATED_N200
+from nserver_emu.simulation.sensors import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, select_columns
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
 from worlds.geometry import FloatArray

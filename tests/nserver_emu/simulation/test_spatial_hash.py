@@ -9,8 +9,8 @@ import pytest
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150
+from nserver_emu.simulation.multi_robot import SpatialHash
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.spatial_hash import SpatialHash
 from worlds.world import StartPose, World
 
 

@@ -6,10 +6,9 @@ from math import exp, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
+from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, Surfaces
 from nserver_emu.simulation.noise import BUILDING, MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.surfaces import Surfaces
 from worlds.io import load_world
 from worlds.robots import N150
 from worlds.world import StartPose

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.models import N150, SCOUT, RobotModel
+from nserver_emu.simulation.multi_robot import STATIONARY, SweptBounds
 from nserver_emu.simulation.noise import IDEAL, WORN, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.spatial_hash import STATIONARY, SweptBounds
 from worlds.world import StartPose, World
 
 RAMPS = replace(IDEAL, name="ramps", ramps=True)

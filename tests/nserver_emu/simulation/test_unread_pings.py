@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.simulation import acoustics, infrared
+from nserver_emu.simulation import acoustics, sensors
 from nserver_emu.simulation.acoustics import FIRST_ECHO, Ping, ReflectorMap
-from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import IDEAL, MEASURED
+from nserver_emu.simulation.sensors import InfraredRing
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise, SonarRing
 from worlds.geometry import NO_DISCS
@@ -81,7 +81,7 @@ def test_new_obstacles_simulate_no_ping(monkeypatch: pytest.MonkeyPatch) -> None
         patched.setattr(SonarRing, "_cast", None)
         patched.setattr(SonarRing, "_compute", None)
         patched.setattr(InfraredRing, "_ranges", None)
-        patched.setattr(infrared, "cast_rays", None)
+        patched.setattr(sensors, "cast_rays", None)
         for _ in range(100):
             simulation.change_world(simulation.world.with_obstacles((*simulation.world.obstacles, near)))
     # Pings of the time before still meet the walls of that time, whenever they are read.

@@ -7,10 +7,10 @@ from math import cos, sin, tan
 import numpy as np
 import pytest
 
-from nserver_emu.simulation import acoustics, visible_walls
+from nserver_emu.simulation import acoustics, visibility
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.noise import BUILDING, MEASURED
-from nserver_emu.simulation.visible_walls import Beam, walls_in_cone
+from nserver_emu.simulation.visibility import Beam, walls_in_cone
 from worlds.geometry import FloatArray
 from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
@@ -66,7 +66,7 @@ def test_ranges_among_many_are_those_with_all_walls(monkeypatch: pytest.MonkeyPa
 
     left_out = ranges_in()
     # One block: nothing is left out.
-    monkeypatch.setattr(visible_walls, "BLOCK", 10**6)
+    monkeypatch.setattr(visibility, "BLOCK", 10**6)
     monkeypatch.setattr(acoustics, "BLOCK", 10**6)
     assert left_out == ranges_in()
     assert np.isfinite(left_out).sum() >= 10

@@ -9,8 +9,8 @@ import pytest
 
 from nserver_emu.simulation.batch import BatchSimulation
 from nserver_emu.simulation.models import N150, N200
+from nserver_emu.simulation.multi_robot import GAP_IN, SimulatedWalker, WalkerState
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.walkers import GAP_IN, SimulatedWalker, WalkerState
 from worlds.world import Door, Polygon, StartPose, Walker, WallAccuracy, World
 
 ROOM = Polygon(((0.0, 0.0), (300.0, 0.0), (300.0, 200.0), (0.0, 200.0)), "hall")

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from nserver_emu.server.admission import CONNECTIONS_PER_PAGE, Limits
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import CONNECTIONS_PER_PAGE, Limits
-from nserver_emu.viewer.auth import HTTP_LOG
+from nserver_emu.viewer.http_port import HTTP_LOG
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 

@@ -15,8 +15,8 @@ from nclient.common.allowlist import is_loopback
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer import auth
-from nserver_emu.viewer.auth import TokenFileError, Tokens, address, load_tokens, new_tokens
+from nserver_emu.viewer import http_port
+from nserver_emu.viewer.http_port import TokenFileError, Tokens, address, load_tokens, new_tokens
 from nserver_emu.viewer.server import serve_viewer as page_served
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, serve_viewer
@@ -159,4 +159,4 @@ async def test_a_page_on_a_name_prints_that_name_and_is_known_by_it(caplog: pyte
         async with aiohttp.ClientSession() as web, web.get(url) as answer:
             assert answer.status == 200
     assert not caplog.records
-    assert auth.is_known_host("Robots.Example:1", "robots.example")
+    assert http_port.is_known_host("Robots.Example:1", "robots.example")

@@ -10,8 +10,7 @@ import pytest
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.viewer.broadcaster import MAX_MESSAGES, MAX_UNDRAWN, Broadcaster, Viewer
-from nserver_emu.viewer.scene import LASER_INTERVAL, SceneHistory
+from nserver_emu.viewer.scene import LASER_INTERVAL, MAX_MESSAGES, MAX_UNDRAWN, Broadcaster, SceneHistory, Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import StartPose
 

@@ -16,15 +16,15 @@ from aiohttp import WSServerHandshakeError
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.options import nserver_parser, read_options
+from nserver_emu.cli import nserver_parser, read_options
+from nserver_emu.server.admission import Limits
 from nserver_emu.server.config import ROOM_AHEAD_IN, SimulationConfig, has_room_ahead, robot_placements
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import Limits
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL
-from nserver_emu.viewer.auth import Access
 from nserver_emu.viewer.classroom import ClassFileError, Student, links_path, read_class, write_links
+from nserver_emu.viewer.http_port import Access
 from nserver_emu.viewer.options import require_robots
 from nserver_emu.viewer.server import ViewerServer
 from tests.nserver_emu.server.wire_client import simulation

@@ -10,8 +10,7 @@ from nclient.protocol.replies import Reply
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import ConnectionContext, DeferredReply
-from nserver_emu.viewer.clients import ViewerClients
-from nserver_emu.viewer.error_boundary import ErrorBoundary
+from nserver_emu.viewer.clients import ErrorBoundary, ViewerClients
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer

@@ -10,10 +10,8 @@ import pytest
 
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import controller, scene
-from nserver_emu.viewer.broadcaster import Broadcaster
-from nserver_emu.viewer.clients import ViewerClient
-from nserver_emu.viewer.error_boundary import ErrorBoundary
-from nserver_emu.viewer.scene import SceneHistory
+from nserver_emu.viewer.clients import ErrorBoundary, ViewerClient
+from nserver_emu.viewer.scene import Broadcaster, SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 

@@ -13,7 +13,7 @@ import pytest
 
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import http_port
-from nserver_emu.viewer.broadcaster import Viewer
+from nserver_emu.viewer.scene import Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 

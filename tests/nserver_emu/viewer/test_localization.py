@@ -11,9 +11,8 @@ from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.auth import Access
-from nserver_emu.viewer.broadcaster import Broadcaster
 from nserver_emu.viewer.controller import ViewerController
+from nserver_emu.viewer.http_port import Access
 from nserver_emu.viewer.messages import (
     MAX_PLACES,
     MAX_REASON,
@@ -24,7 +23,7 @@ from nserver_emu.viewer.messages import (
     parse_estimate,
     parse_published,
 )
-from nserver_emu.viewer.scene import SceneHistory
+from nserver_emu.viewer.scene import Broadcaster, SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 

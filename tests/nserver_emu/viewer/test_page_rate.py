@@ -84,7 +84,7 @@ async def test_all_messages_and_requests_take_tokens(monkeypatch: pytest.MonkeyP
 
 
 async def test_limits_of_addresses_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nserver_emu.viewer.auth.MAX_RATE_LIMITS", 3)
+    monkeypatch.setattr("nserver_emu.viewer.http_port.MAX_RATE_LIMITS", 3)
     async with serve_viewer(Emulator(simulation())) as here:
         admission = here.viewer_server._port.admission
         assert admission is not None

@@ -13,13 +13,12 @@ import pytest
 
 from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
+from nserver_emu.server.admission import Limits
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.runtime_settings import read_world_file
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import Limits
 from nserver_emu.viewer import http_port
-from nserver_emu.viewer.auth import HTTP_LOG, is_known_host, is_same_origin
-from nserver_emu.viewer.http_port import PERIOD_S, next_due
+from nserver_emu.viewer.http_port import HTTP_LOG, PERIOD_S, is_known_host, is_same_origin, next_due
 from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
 from nserver_emu.viewer.server import ViewerServer
 from tests.nserver_emu.server.wire_client import simulation

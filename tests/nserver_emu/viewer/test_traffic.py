@@ -14,7 +14,7 @@ from nclient.protocol.wire_state import WireState, serial_wire_state
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, TCP, ConnectionRecorder, Decoded
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
-from nserver_emu.viewer.traffic import MAX_HEX, MAX_ROWS, TrafficMonitor, parts
+from nserver_emu.viewer.messages import MAX_HEX, MAX_ROWS, TrafficMonitor, parts
 from tests.nserver_emu.server.wire_client import WireClient, simulation
 
 

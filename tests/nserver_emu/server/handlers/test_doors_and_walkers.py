@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from nclient.errors import ControlError
-from nserver_emu.server.handlers.doors_and_walkers import change_door, change_walker, door_words
-from nserver_emu.server.handlers.runtime_settings import put_world
+from nserver_emu.server.handlers.runtime_settings import change_door, change_walker, door_words, put_world
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.simulation import Simulation
 from worlds.io import format_world

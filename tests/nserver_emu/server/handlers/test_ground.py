@@ -194,7 +194,7 @@ def test_a_prepared_prediction_reads_no_sensor_again(emulator: Emulator, monkeyp
     expected = emulator.answer(call, replace(context))
     while not emulator.prepare_reply(context, call):
         pass
-    for name in ("sonar.SonarNoise.measured_ranges", "infrared.InfraredRing._ranges", "robot.SimulatedRobot.__init__"):
+    for name in ("sonar.SonarNoise.measured_ranges", "sensors.InfraredRing._ranges", "robot.SimulatedRobot.__init__"):
         monkeypatch.setattr(f"nserver_emu.simulation.{name}", None)
     assert isinstance(expected, Reply)
     assert expected.laser

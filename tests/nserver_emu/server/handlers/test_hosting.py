@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from nserver_emu.server.handlers import server
+from nserver_emu.server.handlers import table
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import Allowed, SimulationClock
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
@@ -59,7 +59,7 @@ def test_robots_are_created_while_space_and_limit_allow(
     assert caplog.messages[-1] == (
         f"robot 39 not created: no free space around the starts of thesis_room for one more than {len(robots)}"
     )
-    monkeypatch.setattr(server, "MAX_ROBOTS", 2)
+    monkeypatch.setattr(table, "MAX_ROBOTS", 2)
     client, _ = allowed()
     assert [client.ask("create_robot", number, 1).values[0] for number in (2, 3)] == [7019, 0]
     assert caplog.messages[-1] == "robot 3 not created: there are 2 robots already, the maximum"

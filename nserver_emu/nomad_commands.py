@@ -1,13 +1,6 @@
-"""Run a program on hidden seeds of a world, and score how near it brings the robot to a goal.
+"""The subcommands of `nomad` that run an emulator: rosbridge, ros2 and challenge."""
 
-    nomad challenge corridor my_program.py                  three runs, one line each, then a JSON line
-    nomad challenge flat ./my_program --runs 10 --seed 7    the runs of a class: the same seeds for everybody
-
-The program gets the robot's address as its argument and as NOMAD_ADDRESS, the goal as NOMAD_GOAL (X,Y in inches), and
-the start as NOMAD_START (X,Y,HEADING in inches and degrees). Files that end in .py are run by this Python.
-
-Rules: docs/challenge.md.
-"""
+from __future__ import annotations
 
 import argparse
 import asyncio
@@ -24,11 +17,15 @@ from statistics import fmean
 from typing import Any, Final, NamedTuple
 
 from nclient.common.allowlist import LOOPBACK
-from nclient.common.arguments import ABOVE_ZERO, add_flag, add_value, number, whole_number
+from nclient.common.arguments import ABOVE_ZERO, add_address, add_flag, add_value, number, whole_number
 from nclient.common.process import ExitCode
+from nclient.connector import address_or_default
 from nclient.errors import NomadError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
+from nserver_emu import cli
+from nserver_emu.ros.options import ANY, DEFAULT_PORT, add_distro, add_origin, config_of, port_text
+from nserver_emu.ros.options import LOOPBACK as ROS_LOOPBACK
 from nserver_emu.server.config import FIRST_ROBOT, SimulationConfig
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -36,6 +33,81 @@ from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 from worlds.io import load_world
 from worlds.world import StartPose
+
+
+class RosbridgeCommand:
+    """Serve a robot to programs that speak rosbridge v2: roslibpy, roslibjs, Foxglove.
+
+        nomad rosbridge "serial:///dev/ttyUSB0?model=n150"        prints ws://127.0.0.1:9090/?token=...
+        nomad rosbridge nserver://lab/1 --port 0 --map room.toml  any free port; /map is the world of that file
+
+    Topics /robot1/odom, /robot1/sonar, /tf and others, /robot1/cmd_vel in; nserver --rosbridge serves simulated
+    robots the same way. The robot stops when a program that drives it disconnects, falls silent, or this command
+    ends.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        add_address(parser)
+        parser.add_argument("--port", type=port_text, default=str(DEFAULT_PORT), metavar="[HOST:]PORT",
+                            help=f"port to listen on, on loopback unless HOST is given (default: {DEFAULT_PORT}; 0 "
+                            "takes a free one)")
+        parser.add_argument("--map", metavar="WORLD", help="publish this world as /map: a shipped world or a TOML file")
+        parser.add_argument("--token-file", type=Path, metavar="FILE",
+                            help="store the tokens in this file, so that the address stays the same over restarts")
+        add_origin(parser, "--origin")
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Serve until the end, and return the exit code."""
+        words = [options.map] if options.map else []
+        words += ["--real", address_or_default(options.address), "--port", "0", "--rosbridge", options.port]
+        words += ["--rosbridge-token-file", str(options.token_file)] if options.token_file else []
+        words += [word for origin in options.origin for word in ("--rosbridge-origin", origin)]
+        return cli.main(words)
+
+
+class Ros2Command:
+    """Serve a robot as ROS 2 topics by DDS, without ROS on this machine.
+
+        nomad ros2 "serial:///dev/ttyUSB0?model=n150"        for programs on this machine (ROS_LOCALHOST_ONLY=1)
+        nomad ros2 nserver://lab/1 --interface eth0          for those on the network of eth0: there is no password
+        nomad ros2 sim:thesis_room --map thesis_room         /map is that world
+        nomad ros2 --print-config                            CYCLONEDDS_URI for other programs on loopback
+
+    Topics /robot1/odom, /robot1/sonar, /tf and others, /robot1/cmd_vel in, in the domain of ROS_DOMAIN_ID; nserver
+    --ros2 serves simulated robots the same way. The robot stops when the program that drives it ends or falls silent,
+    or this command ends.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        add_address(parser)
+        parser.add_argument("--interface", default=ROS_LOOPBACK, metavar="NAME",
+                            help=f"network interface or its address, such as eth0; {ANY}: that of CYCLONEDDS_URI, or "
+                            f"what Cyclone DDS chooses (default: {ROS_LOOPBACK})")
+        parser.add_argument("--map", metavar="WORLD", help="publish this world as /map: a shipped world or a TOML file")
+        add_distro(parser, "--distro")
+        parser.add_argument("--rosbridge", nargs="?", type=port_text, const=str(DEFAULT_PORT), metavar="[HOST:]PORT",
+                            help="serve rosbridge as well; to the printed address `nomad localize --publish` sends "
+                            f"estimates for both (default: port {DEFAULT_PORT}; needs the extra viewer)")
+        add_flag(parser, "--print-config",
+                 "print a configuration of Cyclone DDS, with which its other programs find this one, and exit")
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Serve until the end, and return the exit code."""
+        if options.print_config:
+            print(config_of(options.interface) or "")
+            return 0
+        words = [options.map] if options.map else []
+        words += ["--real", address_or_default(options.address), "--port", "0", "--ros2", options.interface]
+        words += ["--ros2-distro", options.distro]
+        words += ["--rosbridge", options.rosbridge] if options.rosbridge else []
+        return cli.main(words)
+
 
 STEP_S: Final = 0.1
 """Simulated seconds per request: ten decisions a second on any machine."""
@@ -53,6 +125,48 @@ REFUSED_CALLS: Final = frozenset({
     "delete_obstacle", "move_obstacle", "new_world", "sim_control",
 })  # fmt: skip
 """Commands that a real robot does not have: they would report the true pose or change the world."""
+
+
+class ChallengeCommand:
+    """Run a program on hidden seeds of a world, and score how near it brings the robot to a goal.
+
+        nomad challenge corridor my_program.py                  three runs, one line each, then a JSON line
+        nomad challenge flat ./my_program --runs 10 --seed 7    the runs of a class: the same seeds for everybody
+
+    The program gets the robot's address as its argument and as NOMAD_ADDRESS, the goal as NOMAD_GOAL (X,Y in inches),
+    and the start as NOMAD_START (X,Y,HEADING in inches and degrees). Files that end in .py are run by this Python.
+
+    Rules: docs/challenge.md.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        parser.add_argument("world", choices=sorted(CHALLENGES), metavar="WORLD",
+                            help=f"one of {', '.join(CHALLENGES)}")
+        parser.add_argument("program", type=Path, metavar="PROGRAM", help="a Python file, or another program")
+        add_value(parser, "--seed", "N", whole_number("a seed", 0, MAX_SEED),
+                  "seed of the first run; the others follow (default: a random one)")
+        add_value(parser, "--runs", "N", whole_number("the number of runs", 1, MAX_RUNS), "number of runs", 3)
+        add_value(parser, "--setup", "KIND", str, "noise of robot and sensors, as in nserver --setup", "noisy")
+        add_value(parser, "--timeout", "S", number("a number of seconds above 0", ABOVE_ZERO),
+                  "real seconds that one run of the program may take", 60.0)
+        add_flag(parser, "--json", "print the JSON line only")
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Run the command and return its exit code."""
+        command = _command_of(options.program)
+        first = secrets.randbelow(MAX_SEED - MAX_RUNS) if options.seed is None else options.seed
+        results = []
+        for seed in range(first, first + options.runs):
+            result = asyncio.run(play(options.world, command, seed, options.setup, options.timeout))
+            results.append(result)
+            if not options.json:
+                print(f"run {len(results)}: score {result.score:5.1f}  error {result.error_in:6.1f} in  time "
+                      f"{result.time_s:5.1f} s  bumps {result.bumps}  {result.ended}", flush=True)  # fmt: skip
+        print(json.dumps(_summary(options.world, options.program, results)))
+        return ExitCode.DONE
 
 
 class Challenge(NamedTuple):
@@ -144,34 +258,6 @@ class Referee(Emulator):
         self._touches = touches
         if self.simulation.time_s >= self.limit_s:
             self.over.set()
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    parser.add_argument("world", choices=sorted(CHALLENGES), metavar="WORLD", help=f"one of {', '.join(CHALLENGES)}")
-    parser.add_argument("program", type=Path, metavar="PROGRAM", help="a Python file, or another program")
-    add_value(parser, "--seed", "N", whole_number("a seed", 0, MAX_SEED),
-              "seed of the first run; the others follow (default: a random one)")
-    add_value(parser, "--runs", "N", whole_number("the number of runs", 1, MAX_RUNS), "number of runs", 3)
-    add_value(parser, "--setup", "KIND", str, "noise of robot and sensors, as in nserver --setup", "noisy")
-    add_value(parser, "--timeout", "S", number("a number of seconds above 0", ABOVE_ZERO),
-              "real seconds that one run of the program may take", 60.0)
-    add_flag(parser, "--json", "print the JSON line only")
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit code."""
-    command = _command_of(options.program)
-    first = secrets.randbelow(MAX_SEED - MAX_RUNS) if options.seed is None else options.seed
-    results = []
-    for seed in range(first, first + options.runs):
-        result = asyncio.run(play(options.world, command, seed, options.setup, options.timeout))
-        results.append(result)
-        if not options.json:
-            print(f"run {len(results)}: score {result.score:5.1f}  error {result.error_in:6.1f} in  time "
-                  f"{result.time_s:5.1f} s  bumps {result.bumps}  {result.ended}", flush=True)  # fmt: skip
-    print(json.dumps(_summary(options.world, options.program, results)))
-    return ExitCode.DONE
 
 
 def _summary(world: str, program: Path, results: list[Result]) -> dict[str, Any]:
