@@ -100,6 +100,10 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model-file", type=Path, metavar="FILE", help="with --from a log: robot models, their sonars")
     parser.add_argument(
+        "--omnidirectional", action="store_true",
+        help="with --from a log: the robot moves sideways as well, as drones do (default: along its heading only)",
+    )
+    parser.add_argument(
         "--roughness", type=arguments.parse_positive, metavar="IN",
         help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}, with --sonars "
              f"{BUILDING_SETUP} {BUILDING_ROUGHNESS_IN})",
@@ -198,15 +202,18 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
     LogFileError, RecordingError, WorldFileError
     """
     if options.recording is None or convert.is_recording(recordings[0]):
-        if options.body or options.model_file:
-            options.refuse("--body and --model-file describe the robot of a log: a recording names its own")
+        if options.body or options.model_file or options.omnidirectional:
+            options.refuse(
+                "--body, --model-file and --omnidirectional describe the robot of a log: a recording names its own"
+            )
         log = read_drive(*recordings)
         return Source(log, BODIES[log.model], SONARS[options.sonars or "cones"](BODIES[log.model].ring))
     if len(recordings) > 1:
         options.refuse("--from several files: parts of a drive are recordings; of logs, give one")
     body = arguments.resolve_log_body(options)
     rows = without_echo(read_log(recordings[0]), body.ring)
-    return Source(drive_of_rows(rows, body), body, SONARS[options.sonars or "cones"](body.ring))
+    log = drive_of_rows(rows, body, is_omnidirectional=options.omnidirectional)
+    return Source(log, body, SONARS[options.sonars or "cones"](body.ring))
 
 
 def learner_of(options: argparse.Namespace, source: Source) -> MapLearner:

@@ -26,6 +26,7 @@ from localization.filters.odometry import (
     OdometryNoise,
     move,
     process_covariance,
+    process_variance,
     step_between,
     step_jacobians,
 )
@@ -84,6 +85,8 @@ class DriveLog:
         Distance of the sonars from the robot's axis.
     model
         Name of the robot model.
+    is_omnidirectional
+        True if the robot moves sideways as well as ahead, as a drone does; else steps are along the heading.
     """
 
     encoders: Floats
@@ -93,6 +96,7 @@ class DriveLog:
     angles_rad: Floats
     ring_radius_in: float
     model: str = "n150"
+    is_omnidirectional: bool = False
 
     def poses_at(self, instants_s: Floats) -> Floats:
         """Return encoder poses and turret angles (e, 4) at instants (e,), by linear interpolation."""
@@ -273,10 +277,10 @@ def read_drive(*paths: Path) -> DriveLog:
     return log
 
 
-def drive_of_rows(rows: Sequence[LogRow], body: Body) -> DriveLog:
+def drive_of_rows(rows: Sequence[LogRow], body: Body, *, is_omnidirectional: bool = False) -> DriveLog:
     """Return the drive of a log that has the last reading of each sonar, and not when it fired.
 
-    A reading is taken at the instant of the row in which it is new (`new_echoes`).
+    A reading is taken at the instant of the row in which it is new (`new_echoes`); see DriveLog for the last argument.
 
     Raises
     ------
@@ -297,7 +301,9 @@ def drive_of_rows(rows: Sequence[LogRow], body: Body) -> DriveLog:
     instants, sonars, readings = (np.array(column) for column in zip(*firings, strict=True))
     encoders = np.array([(row.clock_s, *row.odometry, row.turret_rad) for row in rows])
     encoders[:, 3:] = np.unwrap(encoders[:, 3:], axis=0)
-    return DriveLog(encoders, instants, sonars, readings, np.array(ring.angles_rad), ring.radius_in, body.name)
+    return DriveLog(
+        encoders, instants, sonars, readings, np.array(ring.angles_rad), ring.radius_in, body.name, is_omnidirectional
+    )
 
 
 def _drive_of(recording: Recording, connection: str, before: DriveLog | None) -> DriveLog | None:
@@ -525,14 +531,43 @@ def integrate_odometry(log: DriveLog, intervals_s: Floats, noise: OdometryNoise)
     covariance = np.zeros((len(times), POSE, POSE))
     by_parameters = np.zeros((len(times), POSE, MAX_STATE - POSE))
     for part in range(times.shape[1] - 1):
-        step = step_between(poses[:, part], poses[:, part + 1])
-        F, G = step_jacobians(states, step)
+        if log.is_omnidirectional:
+            states, F, Q = _free_step(states, relative_pose(poses[:, part], poses[:, part + 1]), noise)
+        else:
+            step = step_between(poses[:, part], poses[:, part + 1])
+            F, G = step_jacobians(states, step)
+            states, Q = move(states, step), process_covariance(G, step, noise)
         pose_F = F[:, :POSE, :POSE]
-        covariance = pose_F @ covariance @ pose_F.swapaxes(-1, -2) + process_covariance(G, step, noise)
+        covariance = pose_F @ covariance @ pose_F.swapaxes(-1, -2) + Q
         by_parameters = pose_F @ by_parameters + F[:, :POSE, POSE:]
-        states = move(states, step)
     covariance[:, range(POSE), range(POSE)] += np.square(QUANTIZATION_STD)
     return states[:, :POSE], covariance, by_parameters
+
+
+def _free_step(states: Floats, steps: Floats, noise: OdometryNoise) -> tuple[Floats, Floats, Floats]:
+    """Return states (n, 6) after steps (n, 3) in any direction, F (n, 6, 6) and the covariance (n, 3, 3) of the step.
+
+    The random error of the position is the same along and across the step, since both are measured alike.
+    """
+    # 1. The mean: both components scaled, and the turn with the drift.
+    distance = np.hypot(steps[:, 0], steps[:, 1])
+    local = steps[:, :2] * (1.0 + states[:, POSE, None])
+    turn = steps[:, 2] * (1.0 + states[:, POSE + 1]) + states[:, POSE + 2] * distance
+    moved = rotate(local, states[:, HEADING])
+    after = states.copy()
+    after[:, :2] += moved
+    after[:, HEADING] = wrap_angle(after[:, HEADING] + turn)
+    # 2. Derivatives by the pose and the parameters.
+    F = np.tile(np.eye(MAX_STATE), (len(states), 1, 1))
+    F[:, 0, HEADING], F[:, 1, HEADING] = -moved[:, 1], moved[:, 0]
+    F[:, :2, POSE] = rotate(steps[:, :2], states[:, HEADING])
+    F[:, HEADING, POSE + 1], F[:, HEADING, POSE + 2] = steps[:, 2], distance
+    # 3. The covariance, which no rotation changes.
+    var_distance, var_turn = process_variance(distance, steps[:, 2], noise)
+    Q = np.zeros((len(states), POSE, POSE))
+    Q[:, 0, 0] = Q[:, 1, 1] = var_distance
+    Q[:, HEADING, HEADING] = var_turn
+    return after, F, Q
 
 
 def rotate(vectors: Floats, angles_rad: Floats) -> Floats:
@@ -550,9 +585,9 @@ def compose(poses: Floats, steps: Floats) -> Floats:
 
 
 def relative_pose(origin: Floats, pose: Floats) -> Floats:
-    """Return a pose (3,) in the frame of another: the inverse of `compose`."""
-    step: Floats = pose[:POSE] - origin[:POSE]
-    step[:2] = rotate(step[:2], -origin[HEADING])
+    """Return poses (..., 3) in the frame of others: the inverse of `compose`."""
+    step: Floats = pose[..., :POSE] - origin[..., :POSE]
+    step[..., :2] = rotate(step[..., :2], -origin[..., HEADING])
     return step
 
 

@@ -27,8 +27,11 @@ interval_s = 0.06
 ALTERNATING = Body("two", 9.0, Ring(10.0, (0.0, 1.0), ((0,), (1,)), 0.5, 6.0, 200.0, 1.0, 255.0), ())
 
 
-def write_log(path: Path) -> None:
-    """Write the drive of the simulation of these tests as CSV: a row each 0.1 s, an empty field for no echo."""
+def write_log(path: Path, turned_rad: float = 0.0) -> None:
+    """Write the drive of the simulation of these tests as CSV: a row each 0.1 s, an empty field for no echo.
+
+    The heading is another one by `turned_rad`: a robot that moves aslant.
+    """
     log = drive(1)
     readings, number = ["255"] * 16, 0
     lines = ["time_s,x_in,y_in,heading_rad," + ",".join(f"sonar_{sonar}_in" for sonar in range(16))]
@@ -37,7 +40,7 @@ def write_log(path: Path) -> None:
             reading = log.readings_in[number]
             readings[log.sonars[number]] = f"{reading:g}" if reading < 255.0 else ""
             number += 1
-        lines.append(f"{clock_s},{x},{y},{heading}," + ",".join(readings))
+        lines.append(f"{clock_s},{x},{y},{heading + turned_rad}," + ",".join(readings))
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -52,6 +55,17 @@ def test_a_log_gives_the_walls_of_the_room(tmp_path: Path, capsys: pytest.Captur
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     assert sorted(lengths) == pytest.approx([100.0, 100.0, 120.0, 120.0], abs=1.5)
     assert out.exists()
+
+
+def test_a_robot_that_moves_aslant_maps_the_same_room(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, model, out = tmp_path / "log.csv", tmp_path / "robot.toml", tmp_path / "room.toml"
+    write_log(log, np.radians(60.0))
+    model.write_text(MODEL % ", ".join(f"{22.5 * sonar - 60.0:g}" for sonar in range(16)))
+    words = ("--from", str(log), "--model-file", str(model), "--odometry-noise", "0.05,0.05,0.002", "--out", str(out))
+    assert main.main(["map", "learn", *words, "--omnidirectional", "--json"]) == 0
+    ends = np.array([wall["ends_in"] for wall in json.loads(capsys.readouterr().out)["walls"]])
+    lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    assert sorted(lengths) == pytest.approx([100.0, 100.0, 120.0, 120.0], abs=1.5)
 
 
 def test_a_log_with_fewer_sonars_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.filters.belief import Belief, wrap_angle
+from localization.filters.belief import Belief, Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise, predict, step_between
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.measurements import Steps, build_trajectory, compose, integrate_odometry, read_drive, rotate
+from localization.mapping.measurements import (
+    DriveLog,
+    Steps,
+    build_trajectory,
+    compose,
+    integrate_odometry,
+    read_drive,
+    rotate,
+)
 from localization.mapping.problem import sensors_at
 from nclient.cli import main
 from nclient.errors import RecordingError
@@ -50,6 +58,56 @@ def test_covariance_and_derivative_are_the_filter_s_prediction() -> None:
     quantization = np.diag(np.square([0.04, 0.04, 0.001]))
     own = belief.cov[:3, :3] - J @ np.diag(stds[3:] ** 2) @ J.T
     np.testing.assert_allclose(covariance[0], own + quantization, rtol=1e-6, atol=1e-9)
+
+
+def sideways_drive() -> DriveLog:
+    """Return a drive in all directions, whatever its heading, with a pose each 0.1 s."""
+    rng, clock = np.random.default_rng(5), np.arange(0.0, 5.0, 0.1)
+    poses = np.cumsum(rng.normal(0.0, (1.0, 1.0, 0.1), (len(clock), 3)), axis=0)
+    encoders = np.column_stack((clock, poses, poses[:, 2]))
+    return replace(drive(1), encoders=encoders, is_omnidirectional=True)
+
+
+def test_sideways_steps_lead_along_the_poses() -> None:
+    log = sideways_drive()
+    instants = np.array([0.33, 1.0, 1.77, 4.6])
+    steps, _, _ = integrate_odometry(log, np.stack((instants[:-1], instants[1:]), axis=-1), NOISE)
+    poses = log.poses_at(instants)[:, :3]
+    for before, step, after in zip(poses[:-1], steps, poses[1:], strict=True):
+        found = compose(before, step)
+        np.testing.assert_allclose(found[:2], after[:2], atol=1e-9)
+        assert wrap_angle(found[2] - after[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_derivative_of_sideways_steps_is_a_finite_difference() -> None:
+    log, small = sideways_drive(), 1e-6
+    poses = log.encoders[10:31, 1:4]
+    _, _, by_parameters = integrate_odometry(log, log.encoders[[10, 30], 0][None], NOISE)
+
+    def end(scale: float, turn_scale: float, drift: float) -> Floats:
+        pose = np.zeros(3)
+        for before, after in pairwise(poses):
+            local = rotate(after[:2] - before[:2], -before[2]) * (1.0 + scale)
+            turn = (after[2] - before[2]) * (1.0 + turn_scale) + drift * np.hypot(*(after[:2] - before[:2]))
+            pose = compose(pose, np.array((*local, turn)))
+        return pose
+
+    expected = np.stack([(end(*row) - end(*-row)) / (2.0 * small) for row in small * np.eye(3)], axis=-1)
+    np.testing.assert_allclose(by_parameters[0], expected, atol=1e-6)
+
+
+def test_sideways_steps_are_as_uncertain_across_as_along() -> None:
+    log = sideways_drive()
+    encoders = log.encoders.copy()
+    encoders[:, 1:] = 0.0
+    encoders[:, 2] = np.arange(len(encoders))  # 1 in to the left in each row
+    noise = OdometryNoise(0.3, 0.0, 0.01)
+    _, covariance, _ = integrate_odometry(replace(log, encoders=encoders), encoders[[0, 20], 0][None], noise)
+    # Random walks: 20 steps; the heading's, after each step, moves the rest of the path along x.
+    lever = sum((20.0 - step) ** 2 for step in range(1, 21))
+    expected = np.diag((0.3**2 * 20.0 + 0.01**2 * lever, 0.3**2 * 20.0, 0.01**2 * 20.0))
+    expected += np.diag(np.square([0.04, 0.04, 0.001]))
+    np.testing.assert_allclose(np.diag(covariance[0]), np.diag(expected), rtol=1e-9)
 
 
 def test_echoes_are_measured_where_their_sonars_are() -> None:
