@@ -36,7 +36,8 @@ import numpy.typing as npt
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, walls_and_posts
-from localization.mapping.survey import Geofence, Point
+from localization.mapping.problem import sensors_at
+from localization.mapping.survey import REVERSE_RAD, Geofence, Point
 from localization.mapping.walls import (
     ON_LINE_IN,
     POINT_ON_LINE_IN,
@@ -69,12 +70,19 @@ COMFORT_IN: Final = 4.0
 """Space of places to look from, and of the last leg."""
 WALL_SHADOW_IN: Final = 5.0
 """Unknown cells this near to a wall are its own."""
-UNKNOWN_IN: Final = 4.0
-"""The robot's axis stays this far from unknown cells."""
+UNKNOWN_IN: Final = 8.0
+"""The robot's axis stays this far from unknown cells that no wall explains: nearer, something may block it."""
+CIRCLE_IN, MAX_CIRCLE_IN = 2.0, 60.0
+"""Subtracted from the shortest range of a turn, for noise and motion; and the largest circle."""
+NEAR_ECHO_IN, ECHO_SHADOW_IN = 36.0, 4.0
+"""Unknown cells this near to the end of an echo that is shorter than this hide a wall that is not in the map yet: the
+ends of longer echoes spread over the width of a door."""
 MIN_FRONTIER_CELLS: Final = 7
 """14 in: more than the slits between echoes, less than a door."""
-SIGHT_IN: Final = 40.0
-"""A frontier is looked at from at most this far."""
+DOOR_CELLS, MIN_SIZE, MAX_SIZE = 16.0, 0.4, 1.6
+"""Cells of a frontier that is worth as much as others; and bounds of its worth."""
+LOOK_IN, SIGHT_IN = 18.0, 44.0
+"""A frontier is looked at from such distances: a wall nearer than 6 in to the body cannot be measured."""
 END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
 VERTEX_IN: Final = 17.0
 CORNER_IN: Final = 5.0
@@ -100,6 +108,9 @@ START_TURN_IN: Final = 5.0
 FIRST_ROUNDS: Final = 2
 LAST_LEG_IN: Final = 24.0
 LAST_LEG_S: Final = 15.0
+TURN_RAD_S, TURN_BASE_IN = 0.5, 16.0
+"""Speed of turns, and the cost of the part of a path that gives its first direction."""
+MAX_TURNS_COMPARED: Final = 12
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
 WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
@@ -113,6 +124,8 @@ class Place:
     kind: str
     x_in: float
     y_in: float
+    size: float = 1.0
+    """Of a frontier: its length by that of a door, within limits."""
 
 
 @dataclass(slots=True)
@@ -123,6 +136,7 @@ class Grid:
     free: Mask
     space: Floats
     walls: Floats
+    echoed: Mask
     cost: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     before: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
@@ -263,7 +277,7 @@ class Explorer:
         space = grid.space[reached[:, 0], reached[:, 1]]
         comfortable = centres[space > self._body_in + COMFORT_IN]
         found = []
-        for frontier in self._frontiers(grid):
+        for frontier in self._frontiers(grid)[:, :2]:
             near = comfortable[np.hypot(*(comfortable - frontier).T) < SIGHT_IN]
             if len(near) and not _crossed(near, frontier, grid.walls).all():
                 found.append(frontier)
@@ -281,10 +295,12 @@ class Explorer:
         everything = np.concatenate((walls.reshape(-1, 2), positions, pose[None, :2]))
         low = everything.min(axis=0) - BORDER_IN
         shape = np.ceil((everything.max(axis=0) + BORDER_IN - low) / CELL_IN).astype(int)
-        grid = Grid(low, np.zeros(tuple(shape), dtype=np.bool_), np.full(tuple(shape), np.inf), walls)
+        nowhere = np.zeros(tuple(shape), dtype=np.bool_)
+        grid = Grid(low, nowhere.copy(), np.full(tuple(shape), np.inf), walls, nowhere)
         # 1. Where sound went.
         if mapper.estimate is not None:
             self._mark_sectors(grid, mapper.estimate)
+            self._mark_echoes(grid, mapper.estimate)
         self._mark_circles(grid, mapper)
         # 2. Where the robot was.
         driven = grid.cells(np.concatenate((positions, pose[None, :2])))
@@ -333,18 +349,33 @@ class Explorer:
             at = grid.cells(starts[number] + steps[step, None] * along[number])
             grid.free[at[:, 0], at[:, 1]] = True
 
+    def _mark_echoes(self, grid: Grid, estimate: MapEstimate) -> None:
+        """Mark the cells about the ends of short echoes, explained or not: something is there that is not free."""
+        state, trajectory = estimate.state, estimate.problem.trajectory
+        echoes = estimate.echoes()
+        echoes = echoes[trajectory.readings_in[echoes] < NEAR_ECHO_IN]
+        sensors = sensors_at(state.poses, state.parameters, trajectory, echoes)
+        along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
+        at = grid.cells(sensors.face + sensors.range_in[:, None] * along)
+        grid.echoed[at[:, 0], at[:, 1]] = True
+        if len(at):
+            grid.echoed = self._image.distance_transform_edt(~grid.echoed, sampling=CELL_IN) <= ECHO_SHADOW_IN
+
     def _mark_circles(self, grid: Grid, mapper: LiveMapper | _Finished) -> None:
         """Mark the circles that the shortest readings of a turn of the ring leave free."""
         estimate = mapper.estimate
         if estimate is None:
             return
         trajectory, count = estimate.problem.trajectory, len(estimate.state.poses)
+        # From the node: the sonars stand on a ring about it.
+        reach = trajectory.readings_in + np.hypot(*trajectory.mounts.T)
         shortest = np.full(count, np.inf)
-        np.minimum.at(shortest, trajectory.node, trajectory.readings_in)
+        np.minimum.at(shortest, trajectory.node, reach)
+        shortest[trajectory.is_too_near[:count]] = 0.0
         # A turn of the ring is two nodes; one more at either side for what a bad reading hides.
         turn = np.minimum.reduce([np.roll(shortest, shift) for shift in (-1, 0, 1)])
-        for (x, y), reading in zip(estimate.state.poses[:, :2], turn, strict=True):
-            radius = min(float(reading), 60.0)
+        for (x, y), nearest in zip(estimate.state.poses[:, :2], turn, strict=True):
+            radius = min(float(nearest) - CIRCLE_IN, MAX_CIRCLE_IN)
             if not radius > self._body_in:
                 continue
             first, last = grid.cells(np.array(((x - radius, y - radius), (x + radius, y + radius))))
@@ -356,7 +387,9 @@ class Explorer:
     def find_reach(self, grid: Grid, pose: Floats) -> None:
         """Find the cells that the robot can reach, and the cheapest paths to them."""
         passable = grid.free & (grid.space >= self._body_in + MARGIN_IN)
-        passable &= self._image.distance_transform_edt(grid.free, sampling=CELL_IN) > UNKNOWN_IN
+        unknown = ~grid.free & (grid.space > WALL_SHADOW_IN)
+        if unknown.any():
+            passable &= self._image.distance_transform_edt(~unknown, sampling=CELL_IN) > UNKNOWN_IN
         if self._fence is not None:
             first, last = grid.cells(np.array((self._fence.low, self._fence.high)))
             inside = np.zeros(passable.shape, dtype=np.bool_)
@@ -403,16 +436,19 @@ class Explorer:
         costs = grid.cost[reached[:, 0], reached[:, 1]]
         visited = mapper.poses[:, :2]
         space = grid.space[reached[:, 0], reached[:, 1]]
+        choices: list[tuple[float, float, Place, npt.NDArray[np.intp]]] = []
         for place, radius in self._candidates(grid, mapper, centres, visited):
             at = np.array((place.x_in, place.y_in))
             away = np.hypot(*(centres - at).T)
             near = away < radius
-            if place.kind == "frontier":
-                # From a place with space around it, in sight of it.
-                near &= (space > self._body_in + COMFORT_IN) & (away > VISITED_IN)
-                near[near] = ~_crossed(centres[near], at, grid.walls)
             if not near.any() or self._tries(place) >= MAX_TRIES[place.kind]:
                 continue
+            if place.kind == "frontier":
+                # From a place with space around it, in sight of it.
+                near &= (space > self._body_in + COMFORT_IN) & (away > LOOK_IN)
+                near[near] = ~_crossed(centres[near], at, grid.walls)
+                if not near.any():
+                    continue
             # The nearest cell to the place, cheap to reach.
             number = int(np.where(near, away + 0.3 * costs, np.inf).argmin())
             goal = centres[number]
@@ -425,13 +461,31 @@ class Explorer:
             if is_visited:
                 continue
             self.places.append(place)
-            worth = WORTH[place.kind] / (SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s))
-            if worth > best:
-                best, chosen = worth, (place, reached[number])
+            seconds = SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s)
+            worth = WORTH[place.kind] * place.size
+            choices.append((worth / seconds, seconds, place, reached[number]))
+        # The best by distance, with the turn before the leg.
+        for value, seconds, place, cell in sorted(choices, key=lambda choice: -choice[0])[:MAX_TURNS_COMPARED]:
+            with_turn = value * seconds / (seconds + self._turn_seconds(grid, pose, cell))
+            if with_turn > best:
+                best, chosen = with_turn, (place, cell)
         if chosen is None:
             return None
         self._place = chosen[0]
         return self.path(grid, pose, chosen[1])
+
+    def _turn_seconds(self, grid: Grid, pose: Floats, goal: npt.NDArray[np.intp]) -> float:
+        """Return the time that the turn into the path to a cell takes, backwards if that is the smaller one."""
+        width = grid.free.shape[1]
+        cell, ahead = int(goal[0]) * width + int(goal[1]), int(goal[0]) * width + int(goal[1])
+        while (before := int(grid.before[cell])) >= 0:
+            row, column = divmod(before, width)
+            if grid.cost[row, column] < TURN_BASE_IN:
+                break
+            cell = ahead = before
+        place = grid.centres(np.array(divmod(ahead, width))[None])[0]
+        turn = abs(angle_difference(float(np.arctan2(place[1] - pose[1], place[0] - pose[0])), float(pose[2])))
+        return (turn if turn < REVERSE_RAD else np.pi - turn) / TURN_RAD_S
 
     def _tries(self, place: Place) -> int:
         """Return how often a place, or one near to it, was tried."""
@@ -446,7 +500,7 @@ class Explorer:
     ) -> list[tuple[Place, float]]:
         """Return places worth visiting, each with the radius within which it may be visited."""
         found: list[tuple[Place, float]] = [
-            (Place("frontier", *centre), SIGHT_IN) for centre in self._frontiers(grid).tolist()
+            (Place("frontier", x, y, size), SIGHT_IN) for x, y, size in self._frontiers(grid).tolist()
         ]
         if mapper.estimate is not None and len(mapper.estimate.state.walls):
             corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
@@ -465,8 +519,8 @@ class Explorer:
         return found
 
     def _frontiers(self, grid: Grid) -> Floats:
-        """Return the centres (n, 2) of runs of unknown cells beside free ones, away from walls."""
-        unknown = ~grid.free & (grid.space > WALL_SHADOW_IN)
+        """Return centres and sizes (n, 3) of runs of unknown cells beside free ones, away from walls."""
+        unknown = ~grid.free & ~grid.echoed & (grid.space > WALL_SHADOW_IN)
         # Only what lies beside free cells that are open themselves.
         open_cells = grid.free & (grid.space > WALL_SHADOW_IN)
         border = unknown & self._image.binary_dilation(open_cells)
@@ -480,8 +534,9 @@ class Explorer:
             parts = max(1, len(cells) // 30)
             for part in np.array_split(cells[np.argsort(cells @ np.ptp(cells, axis=0))], parts):
                 centres = grid.centres(part)
-                found.append(centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()])
-        return np.array(found).reshape(-1, 2)
+                middle = centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()]
+                found.append((*middle, np.clip(len(part) / DOOR_CELLS, MIN_SIZE, MAX_SIZE)))
+        return np.array(found).reshape(-1, 3)
 
     # Paths.
 

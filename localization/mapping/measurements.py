@@ -136,6 +136,8 @@ class Trajectory:
         (e,) standard deviation of a reading.
     readings
         Number of all readings, with those without an echo.
+    is_too_near
+        (n,) True for nodes at which a sonar has measured its lower limit: something may be nearer.
     """
 
     instants_s: Floats
@@ -151,6 +153,7 @@ class Trajectory:
     readings_in: Floats
     std_in: Floats
     readings: int
+    is_too_near: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -492,6 +495,7 @@ def build_trajectory(
     return Trajectory(
         instants, nodes[:, :POSE], steps, root, by_parameters, np.flatnonzero(moving), node[is_range], sonars[is_range],
         mounts[is_range], axes[is_range], readings[is_range], std[is_range], len(readings),
+        np.asarray((log.readings_in[groups] <= sonar.lowest_in).any(axis=1), dtype=np.bool_),
     )  # fmt: skip
 
 

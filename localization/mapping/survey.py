@@ -58,8 +58,8 @@ KNOWN_IN: Final = 8.0
 """The map must show a wall this near to the body: that is what the sonars cannot measure."""
 MIN_SPEED_IN_S: Final = 0.8
 """A slower speed counts as blocked."""
-BLOCKED_S: Final = 3.0
-"""A leg that is blocked for this long is given up."""
+BLOCKED_S: Final = 2.2
+"""A leg that is blocked for this long is given up: longer than GUARD_S, in which a bad reading blocks it."""
 REVERSE_RAD: Final = radians(100.0)
 """A larger turn is saved by driving backwards: turns are what odometry measures worst."""
 BACK_OFF_IN, BACK_OFF_IN_S = 3.0, 2.0

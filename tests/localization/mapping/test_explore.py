@@ -32,7 +32,8 @@ def wall_with_gap(width_in: float, at_in: float = 0.37) -> Floats:
 def grid_of(walls: Floats) -> Grid:
     """Return a grid of which all cells are free, with their exact distances from walls."""
     shape = int(164 / CELL_IN), int(84 / CELL_IN)
-    grid = Grid(np.array((-2.0, -2.0)), np.ones(shape, dtype=np.bool_), np.zeros(shape), walls)
+    nowhere = np.zeros(shape, dtype=np.bool_)
+    grid = Grid(np.array((-2.0, -2.0)), ~nowhere, np.zeros(shape), walls, nowhere)
     cells = np.argwhere(grid.free)
     grid.space[cells[:, 0], cells[:, 1]] = wall_distances(grid.centres(cells), walls)
     return grid
