@@ -1,4 +1,4 @@
-"""Chi-square tests of a finished map, of whether its ranges and encoders contradict each other.
+"""Chi-square tests of a map, of whether its ranges and encoders contradict each other.
 
     r_i          residual of a range or of the odometry, in standard deviations
     h_i          leverage: the part of r_i's variance that the unknowns take up, J_i P J_i'
@@ -38,10 +38,12 @@ MAX_CORRELATION: Final = 0.5
 """Rounding and surface are at most half of the variance of neighbouring echoes."""
 LOOP_NODES: Final = 40
 """A feature that was not measured for 20 s was left: coming back closes a loop."""
-
-
 STRETCH_NODES: Final = 40
 """Nodes of a stretch of which the explained ranges are counted: 20 s."""
+
+
+MIN_EXPLAINED: Final = 0.7
+"""Least fraction of the ranges that a map must explain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ class Part:
 
 
 def check_parts(estimate: MapEstimate) -> list[Part]:
-    """Return the tests of a finished map: the whole drive first, then features and loops."""
+    """Return the tests of a map: the whole drive first, then features and loops."""
     problem, state = estimate.problem, estimate.state
     linear = problem.linearize_echoes(state, estimate.assignment)
     # 1. Squares and redundancy of each range, and of each step of the odometry.
@@ -95,6 +97,14 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
         Part(*part, chi_square_quantile(1.0 - risk, max(part[-1], MIN_FREEDOM) * effective) / effective)
         for part, risk in ((whole, RISK), *((part, RISK / len(parts)) for part in parts))
     ]
+
+
+def is_consistent(estimate: MapEstimate) -> bool:
+    """Return True if a map explains enough ranges, and these and the odometry do not contradict each other."""
+    feature = estimate.assignment.feature[estimate.echoes()]
+    if not len(feature) or float((feature != NO_FEATURE).mean()) < MIN_EXPLAINED:
+        return False
+    return all(part.excess <= 1.0 for part in check_parts(estimate))
 
 
 @dataclass(frozen=True, slots=True)

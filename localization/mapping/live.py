@@ -25,6 +25,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
 from localization.mapping.association import MapEstimate, align_heading, segments_of
+from localization.mapping.consistency import is_consistent
 from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, revise, update_features
 from localization.mapping.measurements import (
     READINGS_PER_NODE,
@@ -50,8 +51,6 @@ ALWAYS_CHALLENGED: Final = 80
 CHALLENGE_GROWTH: Final = 1.5
 CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
-MAX_COST: Final = 0.95
-"""Cost, with all penalties, by the number of ranges, of a map that the robot may rely on to pass a gap."""
 MAX_MISFIT: Final = 0.8
 """Misfit of a sound map: 0.6 is usual with smooth walls, 1 and more with a wrong wall or a wrong turn."""
 POST_IN: Final = 0.5
@@ -87,6 +86,8 @@ class LiveMapper:
         self._poses, self._groups = np.zeros((0, POSE)), np.zeros(0, dtype=np.intp)
         self._encoders, self._steps = np.zeros(POSE), Steps()
         self._tracked = self._challenged_nodes = 0
+        self._judged: MapEstimate | None = None
+        self._is_sound = False
         if collector.has_drive:
             self._go_on()
 
@@ -135,9 +136,11 @@ class LiveMapper:
 
     @property
     def is_sound(self) -> bool:
-        """True if the map explains its readings, with few walls and points for their number."""
-        estimate = self.estimate
-        return estimate is not None and estimate.cost < MAX_COST * len(estimate.problem.trajectory.node)
+        """True if the robot may rely on the map to pass a gap: its readings and the odometry do not contradict it."""
+        if self._judged is not self.estimate:
+            self._judged = self.estimate
+            self._is_sound = self.estimate is not None and is_consistent(self.estimate)
+        return self._is_sound
 
     # The pose.
 
@@ -219,6 +222,7 @@ class LiveMapper:
         self.solve()
         assert self.estimate is not None
         revise(self.estimate)
+        self._judged = None
         self._poses = self.estimate.state.poses
 
     def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:

@@ -16,7 +16,7 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.mapping.association import MapEstimate, crossings, segments_of
-from localization.mapping.consistency import Part, Stretch, check_parts, least_explained
+from localization.mapping.consistency import MIN_EXPLAINED, Part, Stretch, check_parts, least_explained
 from localization.mapping.learn import find_undecided
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
@@ -28,8 +28,6 @@ from worlds.world import Polygon, StartPose, WallAccuracy, World
 
 DECIMALS: Final = 7
 """Of coordinates in the file: far below the 1e-6 in within which ends touch."""
-MIN_EXPLAINED: Final = 0.7
-"""Least fraction of the ranges that the map must explain."""
 MIN_EXPLAINED_SOMEWHERE: Final = 0.6
 """The same in any 20 s of the drive, as far as their number tells."""
 MAX_CHI_SQUARE: Final = 1.5

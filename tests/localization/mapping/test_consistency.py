@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
-from localization.mapping.consistency import RISK, check_parts, least_explained, leverages
+from localization.mapping.consistency import RISK, check_parts, is_consistent, least_explained, leverages
 from localization.mapping.learn import find_undecided
 from localization.mapping.output import describe
 from localization.mapping.problem import NO_FEATURE, MapProblem
@@ -79,6 +79,22 @@ def test_part_that_contradicts_refuses_the_map(estimate: MapEstimate) -> None:
     assert bad.quality.parts[0].excess < 1.0
     assert bad.quality.worst.kind == "wall"
     assert "of the wall at" in bad.reason_to_refuse()
+
+
+def test_map_that_contradicts_is_not_relied_on_whatever_it_costs(estimate: MapEstimate) -> None:
+    rng = np.random.default_rng(4)
+    noise = 0.8 * rng.normal(size=len(estimate.assignment.feature))
+    assert is_consistent(with_residuals(estimate, noise))
+    noise[estimate.echoes_of(0)] *= 2.0
+    assert not is_consistent(with_residuals(estimate, noise))
+
+
+def test_map_that_explains_too_little_is_not_relied_on(estimate: MapEstimate) -> None:
+    assert is_consistent(estimate)
+    fewer = estimate.copy()
+    while fewer.state.features > 1:
+        fewer.remove(0)
+    assert not is_consistent(fewer)
 
 
 def test_loop_that_strains_the_odometry_is_found(estimate: MapEstimate) -> None:
