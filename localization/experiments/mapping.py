@@ -79,9 +79,13 @@ TOURS: Final[dict[str, tuple[Point, ...]]] = {
     ),
 }  # fmt: skip
 """Waypoints along all walls and past all vertices; at most 300 s of driving."""
-LONG_TOURS: Final[dict[str, tuple[Point, ...]]] = {"corridor": ((200, 39), (1530, 39), (1530, 45), (39, 39))}
-"""Waypoints there and back, for `--time-limit 900`."""
-LONG_STARTS: Final = {"corridor": 2}
+LONG_TOURS: Final[dict[str, tuple[Point, ...]]] = {
+    "corridor": ((200, 39), (1530, 39), (1530, 45), (39, 39)),
+    "hall": ((394, 79), (394, 370), (79, 370), (79, 79), (236, 79)),
+}
+"""Waypoints there and back, and around four pillars by 31 m and on along the first leg, for `--time-limit 900`."""
+LOOPS: Final = {"corridor": "40 m there and back", "hall": "31 m around four pillars"}
+LONG_STARTS: Final = {"corridor": 2, "hall": 1}
 """Number of the start of those drives; of others the first."""
 FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
     "thesis_room": ((60, 40), (80, 80), (0, 60), (0, 0)),
@@ -575,17 +579,20 @@ def _rows_of_walls(scores: Sequence[Score]) -> list[list[str]]:
 
 
 def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
-    """Return the rows of drives there and back; none without any."""
-    if not scores:
-        return []
-    closed = [score for score in scores if not score.refused and score.closing_in < CLOSED_IN]
-    wrong = [score for score in scores if not score.refused and score.closing_in >= CLOSED_IN]
-    return [
-        ["loops of 40 m there and back closed", "8 of 10", f"{len(closed)} of {len(scores)}"],
-        ["the others written", "0", f"{len(wrong)}"],
-        ["closing error: median, worst (in)", "", _middle_and_worst([score.closing_in for score in scores])],
-        ["that of the odometry (in)", "", _middle_and_worst([score.odometry_closing_in for score in scores])],
-    ]
+    """Return the rows of long drives that come back, for each world; none without any."""
+    rows = list[list[str]]()
+    for world in dict.fromkeys(score.trial.world for score in scores):
+        own = [score for score in scores if score.trial.world == world]
+        written = [score for score in own if not score.refused]
+        closed = sum(score.closing_in < CLOSED_IN for score in written)
+        rows += [
+            [f"loops of {LOOPS[world]} closed", "8 of 10", f"{closed} of {len(own)}"],
+            [f"{world}: the others written", "0", f"{len(written) - closed}"],
+            [f"{world}: closing error, median, worst (in)", "", _middle_and_worst([each.closing_in for each in own])],
+            [f"{world}: that of the odometry (in)", "",
+             _middle_and_worst([each.odometry_closing_in for each in own])],
+        ]  # fmt: skip
+    return rows
 
 
 def _middle_and_worst(values: Sequence[float]) -> str:

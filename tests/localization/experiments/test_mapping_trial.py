@@ -150,12 +150,14 @@ def test_table_counts_closed_loops_and_wrong_maps() -> None:
         a_score(there_and_back, closing_in=0.5, odometry_closing_in=90.0),
         a_score(there_and_back, closing_in=7.0, odometry_closing_in=30.0),
         a_score(there_and_back, closing_in=40.0, odometry_closing_in=60.0, refused="the path crosses a wall"),
+        a_score(Trial("hall", "measured", 1), closing_in=1.5, odometry_closing_in=60.0),
     ]
     rows = {row[0]: row[2] for row in table(scores)}
     assert rows["loops of 40 m there and back closed"] == "1 of 3"
-    assert rows["the others written"] == "1"
-    assert rows["closing error: median, worst (in)"] == "7.00, 40.00"
-    assert rows["that of the odometry (in)"] == "60.00, 90.00"
+    assert rows["loops of 31 m around four pillars closed"] == "1 of 1"
+    assert rows["corridor: the others written"] == "1"
+    assert rows["corridor: closing error, median, worst (in)"] == "7.00, 40.00"
+    assert rows["corridor: that of the odometry (in)"] == "60.00, 90.00"
 
 
 def test_results_of_earlier_runs_are_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
