@@ -25,6 +25,7 @@ import numpy as np
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, NewEcho, process_each
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
+from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
 from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, SlipSums, add_slip_evidence
 from localization.filters.odometry import (
     NO_LAG,
@@ -39,6 +40,7 @@ from localization.filters.odometry import (
     widen_by_slip,
     widen_prediction,
 )
+from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
     GATE,
@@ -62,6 +64,7 @@ from localization.filters.update import (
     mount_at,
     move_on,
     record_used,
+    shift,
 )
 
 READING, REFUSAL = 2, 0
@@ -151,6 +154,8 @@ class KalmanFilter:
         7  correct      x = x- + K innovation                   update.py: shift
                         P = P- - K S K^T                        belief.py: add_outer
         8  slip         evidence that the wheels slipped        health.py: add_slip_evidence
+        9  heading,     evidence of another heading, once       heading_test.py: HeadingTest.correction
+           cones        many readings are outliers
 
     A cone has 3 to 5 for each reflector j, and 7 for their mixture (`update.pda_update`). The iterated filter repeats
     3 to 5 at the most likely state (`update.iterated`). The unscented filter has sigma points for the derivatives: in 2
@@ -217,6 +222,9 @@ class KalmanFilter:
         self._no_slips = self._monitor.slip.sums[:0]
         self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
         self.detects_slips = True
+        model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
+        self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
+        """The test of the heading; None for rays, whose ranges depend on it."""
 
     @property
     def belief(self) -> Belief:
@@ -267,8 +275,12 @@ class KalmanFilter:
         """Predict to the instant of each echo and update; see `process_each`."""
         if not echoes:
             return []
+        if self._headings:
+            self._headings.add(poses, echoes)
         if not self._direct:
-            return process_each(self, encoders, poses, echoes)
+            results = process_each(self, encoders, poses, echoes)
+            self._check_heading()
+            return results
         noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
         low_in, high_in = model.noise.lowest_in, model.noise.highest_in
@@ -286,6 +298,7 @@ class KalmanFilter:
         if len(slips):
             self._monitor.slip.count_readings(len(informative))
         self._check_slip()
+        self._check_heading()
         # 4. The outcomes of all echoes.
         if len(ranges) == len(echoes):
             return results
@@ -327,6 +340,20 @@ class KalmanFilter:
         slip_in = self._monitor.take_slip()
         if slip_in is not None:
             widen_by_slip(self._x, self._P, slip_in)
+
+    def _check_heading(self) -> None:
+        """Correct the heading, and the state with it, if many readings are outliers that agree on another heading."""
+        if self._headings is None or self._correlated.outlier_fraction < MIN_OUTLIERS:
+            return
+        x, P = self._x, self._P
+        turn_rad, evidence_nats = self._headings.correction(x, P)
+        if evidence_nats < self._monitor.limits.heading_nats:
+            return
+        # x + K d, K = P_h / P_hh. P stays: readings that agree with both headings have narrowed it already.
+        shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
+        self._headings.reset()
+        self._correlated.forget_outliers()
+        self._monitor.slip.reset()
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:

@@ -69,6 +69,8 @@ class HealthLimits:
         Largest standard deviation of the position, along its worst direction.
     slip_nats
         Evidence of a slip (`SlipTest`) that widens the covariance.
+    heading_nats
+        Evidence of another heading (`HeadingTest`) that corrects it.
     after_slip
         Number of readings after a slip for which the estimate is DEGRADED.
     """
@@ -83,6 +85,7 @@ class HealthLimits:
     max_nis_ratio: float = 1.0
     max_std_in: float = 3.0
     slip_nats: float = inf
+    heading_nats: float = inf
     after_slip: int = 12
 
 

@@ -54,6 +54,15 @@ class Reflectors:
         """Number of walls and vertices together."""
         return len(self.walls) + len(self.vertices)
 
+    def within(self, x_in: float, y_in: float, reach_in: float) -> Reflectors:
+        """Return those of which a part is nearer to a point than `reach_in`."""
+        from_corner = np.array((x_in, y_in)) - self.corners
+        foot = np.einsum("ij,ij->i", from_corner, self.along)
+        beyond = foot - np.clip(foot, 0.0, self.lengths)
+        height = np.einsum("ij,ij->i", from_corner, self.normals)
+        vertices = self.vertices - np.array((x_in, y_in))
+        return self.some(np.hypot(height, beyond) < reach_in, np.hypot(*vertices.T) < reach_in)
+
     def some(self, walls: Mask, vertices: Mask) -> Reflectors:
         """Return those alone that are selected, (m,) and (v,)."""
         return Reflectors(

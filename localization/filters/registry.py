@@ -109,11 +109,15 @@ METHOD_CHOICES: Final = _MethodChoices(METHODS)
 """What `--method` accepts, for argparse."""
 SLIP_NATS: Final = 6.0
 """Evidence of a slip of the wheels that widens the covariance."""
+HEADING_NATS: Final = 12.0
+"""Evidence of another heading that corrects it, as of another pose in `finder`."""
 MAX_NIS_RATIO: Final = 2.5
 """The covariance is widened for a mean NIS up to this."""
 MIN_MATCHED: Final = 0.37
 """Exact rays that are taken for cones are explained to a third by accident."""
-_LIMITS: Final = HealthLimits(min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS)
+_LIMITS: Final = HealthLimits(
+    min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS, heading_nats=HEADING_NATS
+)
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:

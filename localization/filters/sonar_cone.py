@@ -368,7 +368,7 @@ class ConeModel:
             # A free end of a wall on the map of a building is often only the end of what was mapped: an echo off a post
             # or a door frame that is taken for it puts the robot off along the wall.
             around = around.some(np.full(len(around.walls), fill_value=True), ~around.free)
-        self._around = around
+        self.around = around
         losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
         self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
         self.vertices = np.column_stack((around.vertices, losses)).tolist()
@@ -383,7 +383,7 @@ class ConeModel:
         if refusal != NONE:
             return Association(REFUSALS[refusal], likelihood)
         numbers = np.array([one.reflector for one in candidates])
-        expect = partial(ranges_to, mount=mount, around=self._around, numbers=numbers)
+        expect = partial(ranges_to, mount=mount, around=self.around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)
 
 

@@ -646,6 +646,10 @@ class CorrelatedReadings:
         """Take note of a range that was an outlier with this probability."""
         count_outlier(self.used, outlier_probability)
 
+    def forget_outliers(self) -> None:
+        """Begin the recent fraction anew."""
+        self.used[-1][OUTLIERS] = 0.0
+
     def record(self, sonar: int, turret_offset_rad: float) -> None:
         """Count one more reading as used."""
         record_used(self.used, sonar, turret_offset_rad, self.count(sonar, turret_offset_rad) + 1)
@@ -658,7 +662,7 @@ class MeasurementUpdate:
     """
 
     def __init__(self, model: MeasurementModel, rule: Rule = linear) -> None:
-        self._model, self._rule = model, rule
+        self.model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
         self.odometric = model if isinstance(model, OdometricModel) else None
@@ -690,7 +694,7 @@ class MeasurementUpdate:
         if direct:
             mount = mount_at(direct.mounts, sonar, turret_offset_rad)
             return result_of(direct.update(x, P, mount, reading_in, direct, count, outlier_fraction))
-        association = self._model.associate(x, P, sonar, turret_offset_rad, reading_in)
+        association = self.model.associate(x, P, sonar, turret_offset_rad, reading_in)
         if association.refusal is not Refusal.NONE:
             return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
         outcome = update_by_association(x, P, reading_in, association, self._rule, count, outlier_fraction)

@@ -1,0 +1,151 @@
+"""The test of the heading: against the filter's own likelihoods, and on readings of a robot that turned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Floats, independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.heading_test import MIN_READINGS, READINGS, STEP_RAD, FiredAt, HeadingTest, likelihoods
+from localization.filters.health import HealthLimits
+from localization.filters.odometry import OdometryNoise
+from localization.filters.reflectors import reflectors
+from localization.filters.registry import HEADING_NATS, make
+from localization.filters.sonar_cone import ConeModel, ConeSonar, first_echoes
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.update import MeasurementUpdate, Refusal, association_probabilities, linear
+from worlds.io import load_world
+from worlds.robots import N150
+
+WALLS = np.asarray(load_world("several_walls").walls)
+MODEL = ConeModel(WALLS, N150, ConeSonar(), 2)
+TRUTH = (77.36, 71.44, 1.2)
+STILL = OdometryNoise(0.0, 0.0, 0.0)
+
+
+def belief(heading_error: float, std: float = 0.1) -> tuple[Floats, Floats]:
+    """Return a mean and a covariance with range parameters, in which heading and position are correlated."""
+    x = np.array([TRUTH[0] + 0.1, TRUTH[1] - 0.1, TRUTH[2] + heading_error, 0.05, 0.002])
+    root = np.diag([0.2, 0.2, std, 0.1, 0.003])
+    root[0, 2] = 0.5 * std
+    return x, root @ root.T
+
+
+def reading(sonar: int, heading: float, model: ConeModel = MODEL) -> float:
+    """Return the range of the reflector that a sonar detects most probably; 255 without any."""
+    echoes = first_echoes(TRUTH[0], TRUTH[1], heading, 0.0, model.mounts[sonar], model)
+    best = max(echoes, key=lambda echo: echo.probability, default=None)
+    return float(round(best.range_in)) if best and best.probability > 0.5 else 255.0
+
+
+def turned(test: HeadingTest, model: ConeModel = MODEL) -> None:
+    """Add the readings of a turn of 0.6 rad on the spot that ends at TRUTH, by encoders that began elsewhere."""
+    for k in range(32):
+        turn = 0.6 * (k - 31) / 31
+        pose = (0.1 * k, 3.0, 4.0, 0.7 + turn, 0.7 + turn)
+        test.add([pose, pose], [(0.1 * k, k % 16, reading(k % 16, TRUTH[2] + turn, model))])
+
+
+@pytest.mark.parametrize("std", [0.1, 0.03])
+def test_likelihoods_are_those_of_the_filter(std: float) -> None:
+    """The encoders moved by an inch to the left of the robot, and turned by 0.2 rad, since the reading."""
+    x, P = belief(0.3, std)
+    turns = np.array([-0.3, 0.0, 0.2])
+    now, before = (10.0, 20.0, 0.5, 0.9), (10.0 + np.sin(0.5), 20.0 - np.cos(0.5), 0.3, 0.6)
+    readings = [FiredAt(before, 4, 80.0), FiredAt(now, 0, 22.0), FiredAt(before, 13, 16.0)]
+    found = likelihoods(x, P, turns, now, readings, MODEL)
+    K = P[:, 2] / P[2, 2]
+    cov = P - (P[2, 2] - min(STEP_RAD, std) ** 2) * np.outer(K, K)
+    for j, turn in enumerate(turns):
+        for k, (at, sonar, reading_in) in enumerate(readings):
+            mean = x + K * turn
+            if at is before:
+                mean[:2] += np.sin(mean[2]), -np.cos(mean[2])
+                mean[2] -= 0.2
+            association = MODEL.associate(mean.tolist(), cov.tolist(), sonar, at[3] - at[2], reading_in)
+            expected = association.likelihood
+            if association.refusal is Refusal.NONE:
+                corrections = linear(mean.tolist(), cov.tolist(), reading_in, association, association.R)
+                _, expected, _ = association_probabilities(association, corrections)
+            assert found[k, j] == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("error", [-0.35, -0.25, 0.25, 0.35])
+def test_finds_the_error_of_a_heading(error: float) -> None:
+    test = HeadingTest(MODEL)
+    turned(test)
+    turn_rad, evidence_nats = test.correction(*belief(error))
+    assert turn_rad == pytest.approx(-error, abs=STEP_RAD)
+    assert evidence_nats > HEADING_NATS
+
+
+def test_a_right_heading_stays() -> None:
+    test = HeadingTest(MODEL)
+    turned(test)
+    turn_rad, evidence_nats = test.correction(*belief(0.0))
+    assert abs(turn_rad) < STEP_RAD
+    assert evidence_nats < HEADING_NATS
+
+
+@pytest.mark.parametrize("row", range(len(WALLS)))
+def test_a_displaced_wall_is_no_heading(row: int) -> None:
+    """The readings are those of a room in which one wall stands elsewhere."""
+    walls = WALLS.copy()
+    walls[row] += 3.0
+    test = HeadingTest(MODEL)
+    turned(test, ConeModel(walls, N150, ConeSonar(), 2))
+    assert test.correction(*belief(0.0))[1] < HEADING_NATS
+
+
+def test_few_new_readings_are_not_compared() -> None:
+    test = HeadingTest(MODEL)
+    pose = (0.0, 3.0, 4.0, 0.7, 0.7)
+    for k in range(MIN_READINGS - 1):
+        test.add([pose, pose], [(0.0, k, 50.0)])
+    assert test.correction(*belief(0.3)) == (0.0, 0.0)
+    turned(test)
+    assert test.correction(*belief(0.3))[1] > 0.0
+    assert test.correction(*belief(0.3)) == (0.0, 0.0)
+    turned(test)
+    test.reset()
+    assert test.correction(*belief(0.3)) == (0.0, 0.0)
+    assert READINGS >= MIN_READINGS
+
+
+@pytest.mark.parametrize("method", ["ekf", "iekf", "smoother"])
+def test_a_filter_recovers_its_heading(method: str) -> None:
+    """Encoders that report nothing of a turn of 0.5 rad: without the test the heading stays off."""
+    start = independent(np.add(TRUTH, (0.1, -0.1, 0.5)), (0.2, 0.2, 0.12))
+    tested = make(method, LocalizationConfig(WALLS, N150, STILL, ConeSonar()), start)
+    plain = KalmanFilter(start, MeasurementUpdate(ConeModel(WALLS, N150, ConeSonar())), STILL, limits=HealthLimits())
+    assert isinstance(tested, KalmanFilter)
+    pose = (0.0, 3.0, 4.0, 0.7, 0.7)
+    for filter_ in (tested, plain):
+        for k in range(96):
+            filter_.process(pose, [pose, pose], [(0.0, k % 16, reading(k % 16, TRUTH[2]))])
+    assert abs(tested.belief.mean[2] - TRUTH[2]) < 0.15
+    assert np.hypot(*(tested.belief.mean[:2] - TRUTH[:2])) < 1.0
+    assert abs(plain.belief.mean[2] - TRUTH[2]) > 0.25
+
+
+def test_rays_and_filters_without_a_limit_have_no_test() -> None:
+    start = independent(np.array(TRUTH), (0.2, 0.2, 0.1))
+    rays = make("ekf", LocalizationConfig(WALLS, N150, STILL, WIRE_SONAR), start)
+    cones = KalmanFilter(start, MeasurementUpdate(MODEL), STILL)
+    assert rays._headings is None  # type: ignore[attr-defined]
+    assert cones._headings is None
+
+
+def test_reflectors_within_reach() -> None:
+    """By the distance to points along each wall."""
+    around = reflectors(WALLS)
+    near = around.within(20.0, 20.0, 45.0)
+    t = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    points = around.walls[:, :2] + t * (around.walls[:, 2:] - around.walls[:, :2])
+    nearest_in = np.hypot(*(points - (20.0, 20.0)).transpose(2, 0, 1)).min(axis=0)
+    assert near.walls.tolist() == around.walls[nearest_in < 45.0].tolist()
+    vertices_in = np.hypot(*(around.vertices - (20.0, 20.0)).T)
+    assert near.vertices.tolist() == around.vertices[vertices_in < 45.0].tolist()
+    assert 0 < near.count < around.count
