@@ -119,7 +119,7 @@ class MapLearner:
         nodes_per_round: int = NODES_PER_ROUND,
     ) -> None:
         self._noise, self._nodes_per_round = noise, nodes_per_round
-        self.trajectory = build_trajectory(log, noise, sonar, roughness_in)
+        self.trajectory = build_trajectory(log, noise, sonar, roughness_in, rays=rays)
         self.estimate = MapEstimate.start(MapProblem(self.trajectory, len(log.angles_rad), rays=rays))
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""

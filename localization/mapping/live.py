@@ -150,7 +150,9 @@ class LiveMapper:
         first = max(len(self._groups) - LAG_NODES, 0)
         first_group = int(self._groups[first]) if len(self._groups) else 0
         log = self._collector.log(first_group * READINGS_PER_NODE)
-        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in, self._steps)
+        trajectory = build_trajectory(
+            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self._rays
+        )
         groups = trajectory.group + first_group
         old, old_groups = self._poses[first:], self._groups[first:]
         same = _common(groups, old_groups)
@@ -183,7 +185,9 @@ class LiveMapper:
     def solve(self) -> None:
         """Solve the whole map, from the poses so far."""
         log = self._collector.log()
-        trajectory = build_trajectory(log, self._noise, self._sonar, self._roughness_in, self._steps)
+        trajectory = build_trajectory(
+            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self._rays
+        )
         problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays)
         before = self.estimate or MapEstimate.start(problem)
         # 1. The echoes of the nodes that both have keep their features.

@@ -443,8 +443,9 @@ Steps = dict[tuple[float, float], Step]
 
 
 def build_trajectory(
-    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float, integrated: Steps | None = None
-) -> Trajectory:
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, roughness_in: float, integrated: Steps | None = None,
+    *, rays: bool = False,
+) -> Trajectory:  # fmt: skip
     """Return the nodes of a drive with all that the estimator needs.
 
     Parameters
@@ -459,6 +460,8 @@ def build_trajectory(
         Standard deviation of the walls' surfaces from straight lines, inches.
     integrated
         Odometry by its instants that was integrated before, of the same drive; what is new is added.
+    rays
+        True if sonars measure along exact rays: their ranges are as uncertain as the heading at their instant.
     """
     # 1. Groups of readings; those in which the robot does not move are left out.
     count = len(log.readings_in) // READINGS_PER_NODE
@@ -491,7 +494,13 @@ def build_trajectory(
     readings = log.readings_in[firing]
     is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
     # The variance of a map's place is left out: here walls are estimated.
-    std = np.sqrt(sonar.variance(readings) - sonar.place_var_in2 + roughness_in**2)
+    variance = sonar.variance(readings) - sonar.place_var_in2 + roughness_in**2
+    # The heading wanders while the robot turns, between the node and the reading. A ray r that meets a wall at an
+    # angle a off its normal changes by r tan(a) a radian; a is taken for 45 degrees.
+    if rays:
+        turn = np.abs(wrap_angle(poses[:, HEADING] - heading))
+        variance += process_variance(np.hypot(offset[:, 0], offset[:, 1]), turn, noise)[1] * np.square(readings)
+    std = np.sqrt(variance)
     return Trajectory(
         instants, nodes[:, :POSE], steps, root, by_parameters, np.flatnonzero(moving), node[is_range], sonars[is_range],
         mounts[is_range], axes[is_range], readings[is_range], std[is_range], len(readings),

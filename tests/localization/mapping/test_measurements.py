@@ -159,3 +159,17 @@ def test_odometry_that_was_integrated_before_is_used_again() -> None:
     np.testing.assert_array_equal(again.steps, whole.steps)
     np.testing.assert_array_equal(again.step_info, whole.step_info)
     np.testing.assert_array_equal(again.step_by_parameters, whole.step_by_parameters)
+
+
+def test_rays_of_a_robot_that_turns_are_uncertain_as_its_heading() -> None:
+    log = drive(quiet=True)
+    cones, rays = (build_trajectory(log, NOISE, ConeSonar(), 0.15, rays=rays) for rays in (False, True))
+    added = np.sqrt(np.square(rays.std_in) - np.square(cones.std_in)) / rays.readings_in
+    # 1. It turns with 0.5 rad/s; the last of 8 readings of 0.06 s each is 0.21 s after their mean: 0.105 rad.
+    heading = np.unwrap(log.poses_at(rays.instants_s + np.array([[-0.25], [0.25]]))[..., 2], axis=0)
+    turns = np.abs(heading[1] - heading[0]) > 0.249
+    assert turns.sum() > 3
+    assert added[turns[rays.node]].max() == pytest.approx(0.05 * 0.105**0.5, rel=0.01)
+    # 2. Straight on, it has rolled 1.05 in.
+    straight = np.abs(heading[1] - heading[0]) < 1e-9
+    assert added[straight[rays.node]].max() == pytest.approx(0.002 * 1.05**0.5, rel=0.01)
