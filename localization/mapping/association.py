@@ -55,6 +55,10 @@ MIN_CROSSING_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle may be of one wall."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
+MAX_GAP_IN: Final = 20.0
+"""Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
+MIN_RUN_SPOTS: Final = 3
+"""Spots without such a gap that make a part of a wall which blocks paths."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
 """Cost that a feature must save to be worth its unknowns: 4 or 6 echoes that nothing else explains."""
 
@@ -71,19 +75,26 @@ HEADINGS: Final = np.linspace(-3.0, 3.0, 25)
 class MapEstimate:
     """A map in the making: the problem, its state and assignment, and the part of each wall seen so far.
 
-    `extents` (w, 2) are the coordinates along the wall, whose direction is the normal turned left.
+    `extents` (w, 2) are the coordinates along the wall, whose direction is the normal turned left. `runs` (r, 3) are
+    the parts of it without wide gaps, rows of wall, first and last coordinate: they alone block paths, since of a wrong
+    line across a room only some spots are measured, and what is seen behind it would otherwise never be explained.
     """
 
     problem: MapProblem
     state: MapState
     assignment: Assignment
     extents: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    runs: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
         """Return an estimate of the first pose alone."""
         nothing = np.full(len(problem.trajectory.node), NO_FEATURE, dtype=np.intp)
         return cls(problem, problem.initial(), Assignment(nothing))
+
+    def replace_by(self, other: MapEstimate) -> None:
+        """Take over another estimate of the same problem."""
+        self.state, self.assignment, self.extents, self.runs = other.state, other.assignment, other.extents, other.runs
 
     def copy(self) -> MapEstimate:
         """Return an estimate that changes independently; arrays are replaced, never changed in place."""
@@ -121,7 +132,7 @@ class MapEstimate:
         """Assign all echoes from a node on."""
         echoes = self.echoes(first_node)
         feature = self.assignment.feature.copy()
-        feature[echoes], _ = assign(self.problem, self.state, self.extents, echoes)
+        feature[echoes], _ = assign(self, echoes)
         self.assignment = replace(self.assignment, feature=feature)
         self.measure_extents()
 
@@ -160,12 +171,23 @@ class MapEstimate:
         """Set the extents to the feet of the echoes; the outermost foot at either end may be a mistake."""
         if self.problem.has_fixed_map:
             return
-        extents = np.empty((len(self.state.walls), 2))
+        extents, runs = np.empty((len(self.state.walls), 2)), [np.empty((0, 3))]
         feature = self._unambiguous_features() if self.problem.rays else self.assignment.feature
         for wall in range(len(extents)):
             feet = np.sort(self.feet_of(wall, np.flatnonzero(feature == wall)))
-            extents[wall] = (feet[1], feet[-2]) if len(feet) > 3 else self.extents[wall]
-        self.extents = extents
+            if len(feet) > 3:
+                extents[wall] = feet[1], feet[-2]
+                runs.append(_runs(wall, feet[1:-1]))
+            else:
+                extents[wall] = self.extents[wall]
+                runs.append(self.runs[self.runs[:, 0] == wall])
+        self.extents, self.runs = extents, np.concatenate(runs)
+
+    @property
+    def blocking(self) -> Floats:
+        """Segments (r, 4) that block paths: the measured parts of walls, without BLOCKED_IN at their ends."""
+        walls = self.state.walls[self.runs[:, 0].astype(np.intp)]
+        return segments_of(walls, self.runs[:, 1:], BLOCKED_IN)
 
     def add_wall(self, line: Floats, extent: Floats) -> None:
         """Add a wall (2,) with its extent (2,)."""
@@ -174,6 +196,7 @@ class MapEstimate:
         self.state = replace(self.state, walls=np.concatenate((self.state.walls, line[None])))
         self.assignment = replace(self.assignment, feature=feature + (feature >= walls))
         self.extents = np.concatenate((self.extents, extent[None]))
+        self.runs = np.concatenate((self.runs, [(walls, *extent)]))
 
     def add_point(self, point: Floats) -> None:
         """Add a point (2,)."""
@@ -186,10 +209,22 @@ class MapEstimate:
         if removed < walls:
             self.state = replace(state, walls=np.delete(state.walls, removed, axis=0))
             self.extents = np.delete(self.extents, removed, axis=0)
+            runs = self.runs[self.runs[:, 0] != removed]
+            self.runs = runs - np.stack((runs[:, 0] > removed, *np.zeros((2, len(runs)))), axis=-1)
         else:
             self.state = replace(state, points=np.delete(state.points, removed - walls, axis=0))
         # Ties are found again when they are needed.
         self.assignment = Assignment(feature)
+
+
+def _runs(wall: int, feet: Floats) -> Floats:
+    """Return the parts (r, 3) of a wall between spots (sorted) without a wide gap: wall, first, last coordinate."""
+    parts = np.split(feet, np.flatnonzero(np.diff(feet) > MAX_GAP_IN) + 1)
+    rows = [
+        (wall, part[0], part[-1])
+        for part in parts if len(part) >= MIN_RUN_SPOTS and part[-1] - part[0] > 2.0 * BLOCKED_IN
+    ]  # fmt: skip
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
 def segments_of(walls: Floats, extents: Floats, shorter_in: float = 0.0) -> Floats:
@@ -281,16 +316,14 @@ def residual_matrix(
     return np.where(fits, residual / std, np.inf), sensors, spots
 
 
-def assign(
-    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices, sensors: Sensors | None = None
-) -> tuple[Indices, Floats]:
+def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = None) -> tuple[Indices, Floats]:
     """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`."""
-    if not state.features:
+    if not estimate.state.features:
         return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)
     # 1. What is behind a wall explains nothing.
-    residual, sensors, spots = residual_matrix(problem, state, extents, echoes, sensors)
+    residual, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes, sensors)
     echo, feature = np.nonzero(np.isfinite(residual))
-    blocked = is_blocked(sensors.face[echo], spots[echo, feature], segments_of(state.walls, extents, BLOCKED_IN))
+    blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking)
     residual[echo[blocked], feature[blocked]] = np.inf
     # 2. The nearest.
     best = np.abs(residual).argmin(axis=1)
@@ -331,7 +364,7 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
             continue
         # All headings at once.
         sensors = _turned_sensors(estimate, node, echoes, HEADINGS * std)
-        _, cost = assign(problem, estimate.state, estimate.extents, np.tile(echoes, len(HEADINGS)), sensors)
+        _, cost = assign(estimate, np.tile(echoes, len(HEADINGS)), sensors)
         costs = cost.reshape(len(HEADINGS), -1).sum(axis=1) + np.square(HEADINGS)
         best = int(np.argmin(costs))
         present = len(HEADINGS) // 2
@@ -344,7 +377,7 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
             candidate.associate(max(first_node, node - 1))
             candidate.optimize()
         if other.cost < estimate.cost:
-            estimate.state, estimate.assignment, estimate.extents = other.state, other.assignment, other.extents
+            estimate.replace_by(other)
 
 
 def _turned_sensors(estimate: MapEstimate, node: int, echoes: Indices, angles_rad: Floats) -> Sensors:

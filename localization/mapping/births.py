@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.association import BLOCKED_IN, HALF_CONE_RAD, MapEstimate, Mask, is_blocked, segments_of
+from localization.mapping.association import HALF_CONE_RAD, MapEstimate, Mask, is_blocked
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import (
     NO_FEATURE,
@@ -126,7 +126,7 @@ def _free_echoes(estimate: MapEstimate, echoes: Indices) -> FreeEchoes:
     free = FreeEchoes(sensors, trajectory.std_in[echoes], estimate.problem.rays)
     along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
     spots = sensors.face + sensors.range_in[:, None] * along
-    blocked = is_blocked(sensors.face, spots, segments_of(state.walls, estimate.extents, BLOCKED_IN))
+    blocked = is_blocked(sensors.face, spots, estimate.blocking)
     return free.some(~blocked)
 
 

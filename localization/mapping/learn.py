@@ -218,14 +218,14 @@ def _are_spans(estimate: MapEstimate) -> Mask:
 
 def _losses(estimate: MapEstimate) -> Floats:
     """Return by how much the cost of the echoes rises without each feature (f,)."""
-    problem, state = estimate.problem, estimate.state
+    state = estimate.state
     losses = np.empty(state.features)
     for feature in range(state.features):
         echoes = estimate.echoes_of(feature)
         without = estimate.copy()
         without.remove(feature)
-        _, now = assign(problem, state, estimate.extents, echoes)
-        _, then = assign(problem, without.state, without.extents, echoes)
+        _, now = assign(estimate, echoes)
+        _, then = assign(without, echoes)
         losses[feature] = then.sum() - now.sum()
     return losses
 
@@ -265,7 +265,7 @@ def swallow(estimate: MapEstimate) -> int:
             candidate.optimize(3)
         best = min((estimate, trial, without), key=lambda candidate: candidate.cost)
         if best is not estimate:
-            _replace(estimate, best)
+            estimate.replace_by(best)
             swallowed += 1
     return swallowed
 
@@ -298,7 +298,7 @@ def absorb_points(estimate: MapEstimate) -> int:
             trial.associate()
             trial.optimize(3)
             if trial.cost < estimate.cost:
-                _replace(estimate, trial)
+                estimate.replace_by(trial)
                 absorbed += 1
                 break
     return absorbed
@@ -306,7 +306,7 @@ def absorb_points(estimate: MapEstimate) -> int:
 
 def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:
     """Return the robust cost of some echoes, assigned anew."""
-    return float(assign(estimate.problem, estimate.state, estimate.extents, echoes)[1].sum())
+    return float(assign(estimate, echoes)[1].sum())
 
 
 def join_points(estimate: MapEstimate) -> int:
@@ -377,13 +377,8 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         trial.optimize(3)
     if trial.cost - PENALTY["wall"] + (0.0 if span.is_wall else JOINED_PENALTY) > estimate.cost:
         return False
-    _replace(estimate, trial)
+    estimate.replace_by(trial)
     return True
-
-
-def _replace(estimate: MapEstimate, by: MapEstimate) -> None:
-    """Take over another estimate."""
-    estimate.state, estimate.assignment, estimate.extents = by.state, by.assignment, by.extents
 
 
 def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:
@@ -433,7 +428,7 @@ def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
     trial = _merged(estimate, remaining, removed)
     if trial.cost >= estimate.cost:
         return False
-    _replace(estimate, trial)
+    estimate.replace_by(trial)
     return True
 
 

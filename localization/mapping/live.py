@@ -162,8 +162,9 @@ class LiveMapper:
         state = MapProblem(trajectory, len(log.angles_rad)).initial() if full is None else full.state
         problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays, has_fixed_map=True)
         nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
-        extents = np.zeros((0, 2)) if full is None else full.extents
-        window = MapEstimate(problem, replace(state, poses=poses), nothing, extents)
+        window = MapEstimate(problem, replace(state, poses=poses), nothing)
+        if full is not None:
+            window.extents, window.runs = full.extents, full.runs
         window.extend(len(trajectory))
         # 3. The poses.
         if full is not None and full.state.features and len(trajectory) > 1:
@@ -206,7 +207,8 @@ class LiveMapper:
             if candidates and candidates[0].misfit < MAX_MISFIT:
                 break
             state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
-            candidate = MapEstimate(problem, state, replace(before.assignment, feature=feature), before.extents)
+            assignment = replace(before.assignment, feature=feature)
+            candidate = MapEstimate(problem, state, assignment, before.extents, before.runs)
             candidate.extend(len(trajectory))
             if candidates:
                 align_heading(candidate, mapped - NODES_PER_ROUND // 2, self._noise)

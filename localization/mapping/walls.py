@@ -21,18 +21,16 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.mapping.association import (
     BLOCKED_IN,
+    MAX_GAP_IN,
     MapEstimate,
     Mask,
     crossings,
     is_blocked,
     residual_matrix,
-    segments_of,
 )
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 
-MAX_GAP_IN: Final = 20.0
-"""Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_CROSSED_GAP_IN: Final = 3.0
 MIN_CROSSINGS: Final = 2
 """A single path across a wall may be a mistaken echo."""
@@ -239,7 +237,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     echoes = estimate.echoes()
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
     axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
-    segments = segments_of(state.walls, estimate.extents, BLOCKED_IN)
+    segments = estimate.blocking
     for number in np.flatnonzero(is_uncrossed):
         normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
         cosine = axis @ normal

@@ -13,10 +13,11 @@ import pytest
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate, residual_matrix
+from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
+from localization.mapping.problem import NO_FEATURE
 from localization.mapping.walls import end_derivative
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive
@@ -78,6 +79,29 @@ def test_rays_to_another_wall_do_not_lengthen_one_whose_line_meets_it() -> None:
     found.assignment = replace(found.assignment, feature=feature)
     found.measure_extents()
     np.testing.assert_array_equal(found.extents[number], extent)
+
+
+def test_paths_pass_a_line_where_no_spot_was_measured(estimate: MapEstimate) -> None:
+    found = estimate.copy()
+    wall = int((found.extents[:, 1] - found.extents[:, 0]).argmax())
+    low, high = found.extents[wall]
+    # 1. A wall of more than 90 in, without the echoes of its middle 30 in.
+    angle, offset = found.state.walls[wall]
+    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    echoes = found.echoes_of(wall)
+    _, _, spots = residual_matrix(found.problem, found.state, found.extents, echoes)
+    middle = np.abs(spots[:, wall] @ along - 0.5 * (low + high)) < 15.0
+    feature = found.assignment.feature.copy()
+    feature[echoes[middle]] = NO_FEATURE
+    found.assignment = replace(found.assignment, feature=feature)
+    found.measure_extents()
+    np.testing.assert_allclose(found.extents[wall], (low, high), atol=0.01)
+    # 2. Paths across it at its middle, and at both halves.
+    places = np.array((0.5, 0.2, 0.8)) * (high - low) + low
+    spots = normal * offset + places[:, None] * along
+    starts, ends = spots - 10.0 * normal, spots + 10.0 * normal
+    assert is_blocked(starts, ends, found.blocking).tolist() == [False, True, True]
+    assert is_blocked(starts, ends, estimate.blocking).all()
 
 
 def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:

@@ -108,7 +108,7 @@ def test_span_belongs_to_the_line_nearest_to_it(opened: MapEstimate) -> None:
 def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     (span,) = (span for span in uncrossed_spans(opened, free_paths(opened)) if {span.one, span.other} == {4, 5})
     # Between the outermost sonars and the ends, and between neighbours, less than a robot needs.
-    assert 4.0 <= span.gap_in <= walls.MAX_GAP_IN
+    assert 4.0 <= span.gap_in <= association.MAX_GAP_IN
     monkeypatch.setattr(walls, "MAX_GAP_IN", 0.9 * span.gap_in)
     assert not span.is_wall
 
