@@ -189,6 +189,11 @@ class MapEstimate:
         walls = self.state.walls[self.runs[:, 0].astype(np.intp)]
         return segments_of(walls, self.runs[:, 1:], BLOCKED_IN)
 
+    def narrow(self, wall: int, extent: Floats) -> None:
+        """Set the extent (2,) of a wall, of which all is measured."""
+        self.extents = np.where(np.arange(len(self.extents))[:, None] == wall, extent, self.extents)
+        self.runs = np.concatenate((self.runs[self.runs[:, 0] != wall], [(wall, *extent)]))
+
     def add_wall(self, line: Floats, extent: Floats) -> None:
         """Add a wall (2,) with its extent (2,)."""
         walls = len(self.state.walls)

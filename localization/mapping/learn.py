@@ -11,6 +11,7 @@ cost, with a penalty for each feature, falls:
 
     prune    a feature without which the echoes cost less than PENALTY more is removed
     merge    two nearly equal walls become one where the total cost falls
+    split    a line with a wide gap becomes two walls, or the longest part of it, where the total cost falls
     swallow  a short wall becomes a point where the total cost falls
     join     two points become the ends of a wall where the total cost falls
     absorb   a point on a wall becomes part of it where the total cost falls
@@ -156,7 +157,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (join_points, merge, swallow, absorb_points, prune):
+    for change in (join_points, merge, split, swallow, absorb_points, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -239,6 +240,51 @@ def merge(estimate: MapEstimate) -> int:
         if _try_merge(estimate, *pair):
             merged, tried = merged + 1, set()
     return merged
+
+
+def split(estimate: MapEstimate) -> int:
+    """Replace lines with a wide gap by a wall for each part, or by the longest part; return their number.
+
+    A line that leads by chance along a part of two walls explains both a little worse than their own lines do.
+    """
+    divided = 0
+    for wall in range(len(estimate.state.walls)):
+        runs = estimate.runs[estimate.runs[:, 0] == wall, 1:]
+        if len(runs) < 2:
+            continue
+        best = min((estimate, _parted(estimate, wall, runs), _parted(estimate, wall, runs, only_longest=True)),
+                   key=lambda candidate: candidate.cost)  # fmt: skip
+        if best is not estimate:
+            estimate.replace_by(best)
+            divided += 1
+    return divided
+
+
+def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: bool = False) -> MapEstimate:
+    """Return the map with a wall for each part (r, 2) of one, or for the longest one alone."""
+    trial = estimate.copy()
+    order = np.argsort(runs[:, 0] - runs[:, 1])
+    line, echoes = trial.state.walls[wall], trial.echoes_of(wall)
+    _, _, spots = residual_matrix(trial.problem, trial.state, trial.extents, echoes)
+    feet = spots[:, wall] @ np.array((-np.sin(line[0]), np.cos(line[0])))
+    # 1. Each part gets the echoes nearest to it.
+    off = np.maximum(np.maximum(runs[:, 0] - feet[:, None], feet[:, None] - runs[:, 1]), 0.0)
+    nearest = off.argmin(axis=1)
+    trial.narrow(wall, runs[order[0]])
+    numbers = np.full(len(runs), NO_FEATURE, dtype=np.intp)
+    numbers[order[0]] = wall
+    for part in order[1:] if not only_longest else ():
+        numbers[part] = len(trial.state.walls)
+        trial.add_wall(line, runs[part])
+    feature = trial.assignment.feature.copy()
+    feature[echoes] = numbers[nearest]
+    trial.assignment = replace(trial.assignment, feature=feature)
+    # 2. Optimized with these, then with those that each explains.
+    trial.optimize(JOIN_STEPS)
+    for _ in range(2):
+        trial.associate()
+        trial.optimize(3)
+    return trial
 
 
 def swallow(estimate: MapEstimate) -> int:

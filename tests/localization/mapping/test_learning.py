@@ -14,7 +14,7 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
-from localization.mapping.learn import learn_map
+from localization.mapping.learn import _merged, learn_map, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE
@@ -102,6 +102,22 @@ def test_paths_pass_a_line_where_no_spot_was_measured(estimate: MapEstimate) -> 
     starts, ends = spots - 10.0 * normal, spots + 10.0 * normal
     assert is_blocked(starts, ends, found.blocking).tolist() == [False, True, True]
     assert is_blocked(starts, ends, estimate.blocking).all()
+
+
+def test_line_along_parts_of_two_walls_becomes_both() -> None:
+    # Boxes against the lower wall, 8 and 12 in deep: the wall at y = -25 in the frame of the start is behind them.
+    sides = tuple(((x, 0.0), (x + 30.0, 0.0), (x + 30.0, y), (x, y)) for x, y in ((15.0, 8.0), (75.0, 12.0)))
+    right = learn_map(drive(0, outlines=(ROOM, *sides), rays=True), NOISE, ConeSonar(), rays=True)
+    heights = right.state.walls[:, 1] * np.sin(right.state.walls[:, 0])
+    fronts = np.flatnonzero((heights > -18.5) & (heights < -11.0)).tolist()
+    np.testing.assert_allclose(np.sort(right.state.walls[fronts, 1]), (13.0, 17.0), atol=0.5)
+    # 1. One line along both is 4 in off over 60 in.
+    wrong = _merged(right, fronts[0], fronts[1])
+    assert abs(np.degrees(wrong.state.walls[-1, 0]) + 90.0) > 2.0
+    # 2. Split, they are as before.
+    assert split(wrong) == 1
+    np.testing.assert_allclose(np.sort(wrong.state.walls[:, 1]), np.sort(right.state.walls[:, 1]), atol=0.05)
+    assert split(right) == 0
 
 
 def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:
