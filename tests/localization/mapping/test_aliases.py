@@ -39,6 +39,17 @@ def test_a_pose_in_the_corridor_looks_like_those_at_other_doors() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("door", [2, 3, 5])
+def test_a_place_in_a_doorway_looks_like_those_at_other_doors(door: int) -> None:
+    here = np.array([79.4 + DOOR_IN * door, 69.1, 1.1])
+    found = finder("corridor").aliases(here)
+    # All doors of this side whose neighbourhood, 200 in to either side, holds no end of the corridor.
+    for other in {2, 3, 4, 5, 6, 7} - {door}:
+        expected = here + (DOOR_IN * (other - door), 0.0, 0.0)
+        assert any(np.abs(difference(pose, expected)).max() < 0.5 for pose in found)
+
+
+@pytest.mark.long
 def test_ends_of_the_corridor_and_rooms_of_the_flat_are_unique() -> None:
     # The niche at the west end is in sight.
     assert not finder("corridor").aliases((40.0, 39.4, 0.0))
