@@ -8,7 +8,7 @@ touch two of the circles about the walls' ends, and free arcs of those circles i
     path     A* from the start to the goal, whose own tangents are added to the graph
 
 The tangents of a circle are computed when A* first reaches it, so time and memory follow the paths and not the size of
-the map.
+the map. Only ends of walls that see one another have common tangents, whatever the radius: WallEnds.
 
 A start or goal nearer to a wall than the radius is left, or reached, by the shortest straight line that comes no
 nearer. A Roadmap is used for many paths and stores the circles that they reached. Lengths in inches, angles in radians.
@@ -28,7 +28,7 @@ import heapq
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from math import acos, atan2, hypot, inf, pi, tau
 from typing import Final, NamedTuple
@@ -48,7 +48,7 @@ from localization.navigation.path import (
     wall_distances,
 )
 from nclient.errors import NomadError
-from worlds.geometry import nearest_points, nearest_points_of_pairs
+from worlds.geometry import expand, nearest_points, nearest_points_of_pairs
 
 START, GOAL = 0, 1
 ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
@@ -59,6 +59,10 @@ _FIRST_WALLS: Final = 16
 """Walls that all segments are compared with; the number doubles from step to step."""
 _NEAREST_WALLS: Final = 8
 """Walls at each circle that discard most tangents before they are compared with others."""
+TOUCH_IN: Final = 1e-3
+"""A wall that ends so near to a line does not cross it: far more than SLACK_IN, by which a tangent may be too near."""
+MAX_SEEN: Final = 10_000
+"""Points whose visible ends are stored."""
 NEAR_IN: Final = 0.01
 """Added to the distance within which walls matter for a circle, for rounding errors."""
 _MIN_DISTANCE: Final = 1e-12
@@ -106,12 +110,20 @@ def are_clear(segments: Floats, walls: Floats, distance_in: float) -> Mask:
     return clear
 
 
-def crossings(segments: Floats, walls: Floats) -> Mask:
-    """Return a matrix (n, m): True where a segment crosses a wall."""
+def crossings(segments: Floats, walls: Floats, touch_in: float = 0.0) -> Mask:
+    """Return a matrix (n, m): True where a segment crosses a wall, the ends of both more than `touch_in` beyond."""
     one, other = segments[:, None, :], walls[None, :, :]
-    sides = _side(one, other[..., :2]) * _side(one, other[..., 2:])
-    other_sides = _side(other, one[..., :2]) * _side(other, one[..., 2:])
-    return (sides < 0.0) & (other_sides < 0.0)
+    return _parts(one, other, touch_in) & _parts(other, one, touch_in)
+
+
+def _parts(segments: Floats, others: Floats, touch_in: float) -> Mask:
+    """Return True where the line of a segment has both ends of another segment farther than `touch_in` on two sides."""
+    first, second = _side(segments, others[..., :2]), _side(segments, others[..., 2:])
+    parts: Mask = first * second < 0.0
+    if touch_in > 0.0:
+        least = touch_in * np.hypot(segments[..., 2] - segments[..., 0], segments[..., 3] - segments[..., 1])
+        parts &= (np.abs(first) > least) & (np.abs(second) > least)
+    return parts
 
 
 def _side(segments: Floats, points: Floats) -> Floats:
@@ -347,24 +359,79 @@ def _trace_back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, i
     return edges[::-1]
 
 
-class Roadmap:
-    """Tangent graph among walls (m, 4) for a robot whose axis keeps `radius_in` from all of them."""
+class WallEnds:
+    """The ends of walls (m, 4), and which of them see one another: the same for robots of all radii.
 
-    def __init__(self, walls: Floats, radius_in: float) -> None:
-        self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
-        self._centres = np.unique(self.walls.reshape(-1, 2), axis=0)
-        self._nearest = self._nearest_walls()
-        self.corner_circle = cache(self._corner_circle)
-        self.circle_nodes = cache(self._circle_nodes)
+    A robot that drives along a common tangent of two circles covers the line between their centres, whatever its
+    radius, so no wall crosses that line. The tangent is within the radius of it: only walls within twice the largest
+    radius, `max_radius_in`, of the line can be too near.
+    """
 
-    def _nearest_walls(self) -> Indices:
-        """Return the numbers (n, k) of the walls nearest to each circle's centre."""
+    def __init__(self, walls: Floats, max_radius_in: float) -> None:
+        self.walls, self.max_radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), max_radius_in
+        self.points: Floats = np.unique(self.walls.reshape(-1, 2), axis=0)
+        self.visible_from = lru_cache(MAX_SEEN)(self._visible_from)
+        self.walls_beside = cache(self._walls_beside)
+
+    @cached_property
+    def nearest(self) -> Indices:
+        """The numbers (n, k) of the walls nearest to each end."""
         count = min(_NEAREST_WALLS, len(self.walls))
         if not count:
             return np.zeros((0, 0), dtype=np.intp)
-        parts = np.array_split(self._centres, -(-len(self._centres) * len(self.walls) // MAX_PAIRS))
+        parts = np.array_split(self.points, -(-len(self.points) * len(self.walls) // MAX_PAIRS))
         distances = (nearest_points(part, self.walls)[1] for part in parts)
         return np.concatenate([np.argpartition(part, count - 1, axis=1)[:, :count] for part in distances])
+
+    def _visible_from(self, point: Point) -> Indices:
+        """Return the numbers of the ends that no wall hides from a point; of two that a wall touches both count."""
+        nearest_first = self.walls[np.argsort(nearest_points(np.array(point), self.walls)[1], kind="stable")]
+        segments = np.concatenate((np.broadcast_to(point, self.points.shape), self.points), axis=1)
+        visible = np.flatnonzero((segments[:, :2] != segments[:, 2:]).any(axis=1))
+        first, count = 0, _FIRST_WALLS
+        while first < len(nearest_first) and len(visible):
+            count = max(1, min(count, MAX_PAIRS // len(visible)))
+            near = nearest_first[first : first + count]
+            first, count = first + count, 2 * count
+            visible = visible[~crossings(segments[visible], near, TOUCH_IN).any(axis=1)]
+        return visible
+
+    def _walls_beside(self, number: int) -> tuple[Indices, Indices]:
+        """Return the walls near the lines from an end to those visible from it, in the order of `visible_from`.
+
+        The numbers of the walls, and for each line the first of its walls, with the end of the last.
+        """
+        x, y = self.points[number].tolist()
+        ends, reach_in = self.points[self.visible_from((x, y))], 2.0 * self.max_radius_in + NEAR_IN
+        low, high = (function(ends, (x, y)) for function in (np.minimum, np.maximum))
+        wall_low, wall_high = (function(self.walls[:, :2], self.walls[:, 2:]) for function in (np.minimum, np.maximum))
+        apart = (wall_low > high[:, None] + reach_in) | (wall_high < low[:, None] - reach_in)
+        lines, walls = np.nonzero(~apart.any(axis=-1))
+        return walls, np.searchsorted(lines, np.arange(len(ends) + 1))
+
+
+def pair_clearances(segments: Floats, walls: Floats) -> Floats:
+    """Return `segment_clearances` of pairs (n,) of a segment and a wall, (n, 4) each."""
+    nearest = np.full(len(segments), np.inf)
+    for one, other in ((segments, walls), (walls, segments)):
+        for end in (slice(0, 2), slice(2, 4)):
+            np.minimum(nearest, nearest_points_of_pairs(one[:, end], other)[1], out=nearest)
+    nearest[_parts(segments, walls, 0.0) & _parts(walls, segments, 0.0)] = 0.0
+    return nearest
+
+
+class Roadmap:
+    """Tangent graph among walls (m, 4) for a robot whose axis keeps `radius_in` from all of them.
+
+    `ends` are those of the walls, for several roadmaps of one map.
+    """
+
+    def __init__(self, walls: Floats, radius_in: float, ends: WallEnds | None = None) -> None:
+        self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
+        self._ends = ends if ends and radius_in <= ends.max_radius_in else WallEnds(self.walls, radius_in)
+        self._centres = self._ends.points
+        self.corner_circle = cache(self._corner_circle)
+        self.circle_nodes = cache(self._circle_nodes)
 
     def _corner_circle(self, number: int) -> CornerCircle:
         # Walls farther away do not come within the radius of a point on the circle.
@@ -375,8 +442,9 @@ class Roadmap:
     def _circle_nodes(self, number: int) -> _CircleNodes:
         """Return the free tangents of a circle."""
         count = len(self._centres)
-        # 1. All tangents of pairs with this circle, the smaller number first.
-        others = np.delete(np.arange(count), number)
+        # 1. All tangents of pairs with this circle that see one another, the smaller number first.
+        x, y = self._centres[number].tolist()
+        others = self._ends.visible_from((x, y))
         pairs = np.stack((np.minimum(others, number), np.maximum(others, number)), axis=-1)
         angles, circles, kinds = common_tangents(self._centres, pairs, self.radius_in)
         points = points_on_circles(self._centres, circles, angles, self.radius_in)
@@ -384,10 +452,15 @@ class Roadmap:
         # 2. Discard those with an end too near to a wall, then those that pass too near to one.
         rows = np.arange(len(circles))
         for end in (own, 1 - own):
-            near = self.walls[self._nearest[circles[rows, end[rows]]]]
+            near = self.walls[self._ends.nearest[circles[rows, end[rows]]]]
             _, distances = nearest_points_of_pairs(points[rows, end[rows], None], near)
             rows = rows[distances.min(axis=1) >= self.radius_in - SLACK_IN]
-        rows = rows[self._are_free(points[rows].reshape(-1, 4), self.radius_in, self._centres[number])]
+        walls_beside, first = self._ends.walls_beside(number)
+        line = np.searchsorted(others, circles[rows].sum(axis=1) - number)
+        row, at = expand(first[line], first[line + 1] - 1)
+        clearance = pair_clearances(points[rows].reshape(-1, 4)[row], self.walls[walls_beside[at]])
+        too_near = np.unique(row[clearance < self.radius_in - SLACK_IN])
+        rows = np.delete(rows, too_near)
         # 3. Number the nodes after those of start and goal: by kind, pair and end.
         own, other = own[rows], 1 - own[rows]
         tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
@@ -487,7 +560,10 @@ class Roadmap:
         # 2. Free tangents from start and goal to all circles.
         count = 2
         for number, end in enumerate(ends):
-            angle, circle = tangents_from(end, self._centres, self.radius_in)
+            x, y = end.tolist()
+            seen = self._ends.visible_from((x, y))
+            angle, among = tangents_from(end, self._centres[seen], self.radius_in)
+            circle = seen[among]
             there = points_on_circles(self._centres, circle, angle, self.radius_in)
             lines = np.concatenate((np.broadcast_to(end, there.shape), there), axis=1)
             free = self._are_free(lines, self.radius_in, end)
@@ -542,10 +618,11 @@ class Planner:
     def __init__(self, walls: Floats, body_in: float) -> None:
         self.walls = np.asarray(walls, dtype=np.float64).reshape(-1, 4)
         self.body_in = body_in
+        self._ends = WallEnds(self.walls, body_in + MARGINS_IN[-1])
         self._roadmap = cache(self._build_roadmap)
 
     def _build_roadmap(self, margin_in: float) -> Roadmap:
-        return Roadmap(self.walls, self.body_in + margin_in)
+        return Roadmap(self.walls, self.body_in + margin_in, self._ends)
 
     def plan(
         self, start: Point, goal: Point, obstacles: Floats | None = None, min_margin_in: float = 0.0
@@ -608,11 +685,12 @@ class Planner:
     def _widest(self, start: Point, goal: Point, obstacles: Floats, margins: Sequence[float]) -> PlannedPath:
         """Return the shortest path with the largest possible margin, or raise NoPathError."""
         walls = np.concatenate((self.walls, obstacles))
+        ends = WallEnds(walls, self.body_in + max(margins))
         min_goal_distance = self.body_in + MARGINS_IN[0]
         *wide, narrow = sorted(margins, reverse=True)
         for margin in wide:
             with suppress(NoPathError):
-                elements = Roadmap(walls, self.body_in + margin).path(start, goal, min_goal_distance)
+                elements = Roadmap(walls, self.body_in + margin, ends).path(start, goal, min_goal_distance)
                 return PlannedPath(split_into_sections(elements), margin)
-        elements = Roadmap(walls, self.body_in + narrow).path(start, goal, min_goal_distance)
+        elements = Roadmap(walls, self.body_in + narrow, ends).path(start, goal, min_goal_distance)
         return PlannedPath(split_into_sections(elements), narrow)
