@@ -40,7 +40,7 @@ MIN_INCIDENCE_COS: Final = 0.5
 COMPARED: Final = 400
 """Places with the most similar magnitudes, whose scans are compared."""
 CANDIDATES: Final = 60
-"""Of these, places with the most similar scans, which are fitted: of a corridor with twenty equal doors three a door."""
+"""Of these, places with the most similar scans, which are fitted: three for each of twenty equal doors."""
 FIT_STEPS: Final = 4
 COARSE_MATCH: Final = 0.6
 """Fraction of the rays that must agree to a grid step before the fit."""

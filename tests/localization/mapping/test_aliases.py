@@ -45,7 +45,7 @@ def test_a_place_in_a_doorway_looks_like_those_at_other_doors(door: int) -> None
     found = finder("corridor").aliases(here)
     # All doors of this side whose neighbourhood, 200 in to either side, holds no end of the corridor.
     for other in {2, 3, 4, 5, 6, 7} - {door}:
-        expected = here + (DOOR_IN * (other - door), 0.0, 0.0)
+        expected = here + np.array([DOOR_IN * (other - door), 0.0, 0.0])
         assert any(np.abs(difference(pose, expected)).max() < 0.5 for pose in found)
 
 
