@@ -19,8 +19,7 @@ from dataclasses import asdict, dataclass, field
 
 from nclient.backends.direct import DirectBackend
 from nclient.errors import ReplyTimeout, RobotRefused
-from nclient.faults.frames import Injector, LineLanguage, total
-from nclient.faults.inject import FaultyLine, FaultyStream
+from nclient.faults.inject import FaultyLine, FaultyStream, Injector, LineLanguage, total
 from nclient.faults.plan import BOTH, Corrupt, Direction, DropByte, Fault, InsertBytes, Noise, Plan, Rule, When
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply

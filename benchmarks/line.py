@@ -29,8 +29,7 @@ from nclient.backends.base import Backend
 from nclient.connector import open_backend
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, serial_wire_state
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
 BAUD, BITS_PER_BYTE = 38400, 10

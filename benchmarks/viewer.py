@@ -30,9 +30,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
-from nclient.common.allowlist import LOOPBACK
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
+from nclient.transports.listener import LOOPBACK
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.daemon import Daemon, rare_collection
 from nserver_emu.server.handlers.table import Emulator

@@ -10,12 +10,11 @@ import functools
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader
-from nclient.cli.shell_help import BUILTINS
-from nclient.cli.shell_session import Session
-from nclient.common import allowlist
+from nclient.cli.shell_session import BUILTINS, Session
 from nclient.connector import open_backend
 from nclient.errors import AddressError, FaultPlanError, ShellError, StartError, WireError, WorldFileError
 from nclient.protocol.commands import COMMANDS
+from nclient.transports import listener
 from nclient.url import OPTIONS, parse_address
 from nserver_emu.server.inprocess import open_address
 
@@ -58,16 +57,16 @@ def _simulation(data: bytes) -> None:
 @functools.cache
 def _allow_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(exit_on_error=False)
-    allowlist.add_options(parser)
+    listener.add_options(parser)
     return parser
 
 
 def _network(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
-    allowlist.is_loopback(text)
-    allowed = allowlist.allowlist_from_options(_allow_parser().parse_args([f"--allow={text}"]))
+    listener.is_loopback(text)
+    allowed = listener.allowlist_from_options(_allow_parser().parse_args([f"--allow={text}"]))
     allowed.allows("192.168.1.7")
-    allowlist.warning("0.0.0.0", allowed)
+    listener.warning("0.0.0.0", allowed)
 
 
 def _encode(lines: tuple[str, ...], head: bytes = b"") -> list[bytes]:

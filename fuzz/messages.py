@@ -15,7 +15,7 @@ import msgspec
 
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader
-from localization.live.publish import parse_answer
+from localization.live.run import parse_answer
 from nclient.errors import ControlError
 from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line

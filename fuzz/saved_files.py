@@ -18,8 +18,7 @@ from localization.live import saved_estimate
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
 from nclient.protocol.codec import encode_serial_request, encode_tcp_request
 from nclient.protocol.commands import Call
-from nclient.protocol.types import MODELS
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import MODELS, serial_wire_state
 from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, format_entry, read_recording
 from nclient.recording.recorder import TCP, FrameDecoder
 from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges

@@ -21,14 +21,13 @@ from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
 from nclient.cli import state_text
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.faults.frames import Frames, LineFrames, TcpFrames
+from nclient.faults.inject import Frames, LineFrames, TcpFrames
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, build_handshake, read_handshake
 from nclient.protocol.codec import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_LINE_TYPE, BY_TCP_TYPE, MAX_REPLY_WORDS, NAK_TYPE, Call
 from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_frame
-from nclient.protocol.types import MODELS, N150, N200, SCOUT
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import MODELS, N150, N200, SCOUT, serial_wire_state
 from nclient.recording.format import format_frame
 from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
         WorldFileError,
     )
     from nclient.robot import Robot
-    from nclient.state import Battery, Pose, RobotState, Truth
-    from nclient.units import AxisCommand, AxisMode
+    from nclient.state import AxisCommand, AxisMode, Battery, Pose, RobotState, Truth
 
 __all__ = [
     "AddressError",

@@ -32,9 +32,8 @@ from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.fields import MAX_LASER_READINGS
+from nclient.protocol.layouts import MAX_LASER_READINGS, MOTION_LINE
 from nclient.protocol.replies import SIMPLE, Reply, text_of
-from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import (
     CPU_RANGE_V,
     EVERYTHING,

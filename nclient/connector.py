@@ -29,13 +29,11 @@ from typing import Any, Final
 
 from nclient.aio import AsyncRobot
 from nclient.backends import wrappers
-from nclient.backends.base import Backend, LinkStatistics
+from nclient.backends.base import Backend, KeepAlive, LinkStatistics
 from nclient.backends.direct import DirectBackend
-from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
 from nclient.errors import AddressError, ConnectionLost, RecordingError
-from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
-from nclient.faults.inject import FaultyLine, FaultyStream
+from nclient.faults.inject import FaultyLine, FaultyStream, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
 from nclient.recording.drive import Drive, DrivePeer

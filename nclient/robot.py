@@ -21,11 +21,10 @@ from typing import Any, Final, Literal, NamedTuple, Self
 
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
-from nclient.protocol.client_state import ClientState
+from nclient.protocol.client_state import READ, RESTART, RING_PACKET, ClientState, RingReadings, parse_ring
 from nclient.protocol.commands import Call
+from nclient.protocol.layouts import MOTION_ARC, MOTION_LINE
 from nclient.protocol.replies import Reply, text_of
-from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
-from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, RingReadings, parse_ring
 from nclient.protocol.types import (
     DEFAULT_SONAR_ORDER,
     DEFAULT_SONAR_RATE,
@@ -38,8 +37,19 @@ from nclient.protocol.types import (
     tenths_from_rad,
     unwrap_word,
 )
-from nclient.state import WHEEL_IN_PER_DEG, Pose, RobotState, Truth, snapshot, state_html
-from nclient.units import AxisCommand, Points, firing_order, points_tenths, tenths_of
+from nclient.state import (
+    WHEEL_IN_PER_DEG,
+    AxisCommand,
+    Points,
+    Pose,
+    RobotState,
+    Truth,
+    firing_order,
+    points_tenths,
+    snapshot,
+    state_html,
+    tenths_of,
+)
 
 RING: Final = range(SONAR_SLOTS)
 _PACKET_HEAD: Final = 4

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, get_type_hints
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
-from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
+from nclient.backends.base import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
+from nclient.common.arguments import suggest
 from nclient.common.files import parse_toml, read_text
-from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import MODELS, N150, Model, get_model

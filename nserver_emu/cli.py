@@ -43,8 +43,7 @@ from typing import Final
 
 import numpy as np
 
-from nclient.common import allowlist, process
-from nclient.common.allowlist import LOOPBACK, allowlist_from_options, warning
+from nclient.common import process
 from nclient.common.arguments import (
     ABOVE_ZERO,
     Parser,
@@ -52,12 +51,14 @@ from nclient.common.arguments import (
     add_version,
     number,
     protect_coordinates,
+    suggest,
     whole_number,
 )
-from nclient.common.hints import suggest
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.format import read_recording
+from nclient.transports import listener
+from nclient.transports.listener import LOOPBACK, allowlist_from_options, warning
 from nserver_emu import logs
 from nserver_emu.control import cli, snapshot
 from nserver_emu.control import commands as control_options
@@ -128,7 +129,7 @@ def nserver_parser(*, with_files: bool = True) -> Parser:
     _add_persistence(parser)
     _add_setup(parser)
     # Packages add their own options, in the order of --help.
-    for package in (serial_lines, real_options, control_options, allowlist, admission, viewer_options, ros_options):
+    for package in (serial_lines, real_options, control_options, listener, admission, viewer_options, ros_options):
         package.add_options(parser)
     add_flag(parser, "--list-worlds", "list the shipped worlds and exit")
     logs.add_options(parser)

@@ -16,13 +16,13 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, NamedTuple
 
-from nclient.common.allowlist import LOOPBACK
 from nclient.common.arguments import ABOVE_ZERO, add_address, add_flag, add_value, number, whole_number
 from nclient.common.process import ExitCode
 from nclient.connector import address_or_default
 from nclient.errors import NomadError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
+from nclient.transports.listener import LOOPBACK
 from nserver_emu import cli
 from nserver_emu.ros.options import ANY, DEFAULT_PORT, add_distro, add_origin, config_of, port_text
 from nserver_emu.ros.options import LOOPBACK as ROS_LOOPBACK

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.hints import install_command
+from nclient.common.arguments import install_command
 from nclient.errors import ExtraMissing
 from worlds.geometry import FloatArray
 from worlds.robots import Body

@@ -25,7 +25,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments

@@ -26,7 +26,7 @@ from typing import Annotated, Any, Final, TypeVar
 
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError
 from nclient.protocol.types import SONAR_RING_IN, SONAR_SLOTS

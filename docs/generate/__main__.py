@@ -9,7 +9,7 @@ from pathlib import Path
 
 from docs.generate import c_table, commands, course, exit_codes, from_c, gallery, layers, limits, protocol, setups
 from worlds.io import load_world, world_names
-from worlds.picture import world_svg
+from worlds.world import world_svg
 
 ROOT = Path(__file__).parents[2]
 PAGES: dict[str, Callable[[], dict[str, Iterator[str]]]] = {

@@ -13,13 +13,14 @@ from construct import Construct, Int32ul
 
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import COMMANDS, Command
-from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
-from nclient.protocol.replies import LineLayout, TcpLayout
-from nclient.protocol.requests import (
+from nclient.protocol.layouts import (
     ARM_NUMBER,
     FLAG_BYTE,
     HISTORY_BYTE,
     LASER_MODE_BYTE,
+    LINE_BYTE,
+    LINE_SIGNED,
+    LINE_UNSIGNED,
     ArmPacket,
     ByteWords,
     FlagWords,
@@ -31,6 +32,7 @@ from nclient.protocol.requests import (
     TextWords,
     UserPacket,
 )
+from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.types import MODELS
 
 _LETTERS: Final[dict[int, str]] = {

@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from nclient.protocol.commands import ALL, COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, get_model
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import EVERYTHING, get_model, tcp_wire_state
 from nserver_emu.server.handlers.graphics import REFRESHERS
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import Allowed

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from worlds.io import load_world, parse_world, world_names
-from worlds.picture import IN_PER_M, world_svg
+from worlds.world import IN_PER_M, world_svg
 
 FOLDER = "docs/figures/worlds"
 

@@ -13,26 +13,23 @@ from typing import Any, Final
 from construct import Construct, GreedyRange, Int32ul
 
 from nclient.protocol.commands import ALL, COMMANDS, REPLY_TYPES, Argument, Command
-from nclient.protocol.fields import (
-    LINE_BYTE,
-    LINE_SIGNED,
-    LINE_UNSIGNED,
-    BumperBytes,
-    LineLaser,
-    LineNibbles,
-    LineRun,
-    LineSlots,
-    LineStamps,
-)
-from nclient.protocol.replies import LINE_STATE, STATE, LineLayout, TcpLayout
-from nclient.protocol.requests import (
+from nclient.protocol.layouts import (
     ARM_NUMBER,
     FLAG_BYTE,
     HISTORY_BYTE,
     LASER_MODE_BYTE,
+    LINE_BYTE,
+    LINE_SIGNED,
+    LINE_UNSIGNED,
     ArmPacket,
+    BumperBytes,
     ByteWords,
+    LineLaser,
     LineMask,
+    LineNibbles,
+    LineRun,
+    LineSlots,
+    LineStamps,
     LineText,
     MotionWords,
     ObstacleWords,
@@ -40,6 +37,7 @@ from nclient.protocol.requests import (
     TextWords,
     UserPacket,
 )
+from nclient.protocol.replies import LINE_STATE, STATE, LineLayout, TcpLayout
 
 _SIZES: Final[dict[int, str]] = {
     id(field): name

@@ -28,9 +28,8 @@ from localization.filters.calibration import OFFSET, OWN, RING_TURN, Calibrating
 from localization.filters.odometry import OdometryParameter
 from localization.live.assumptions import resolve_body, resolve_robot_model
 from localization.live.localizer import Consistency
-from localization.navigation.control_law import VelocityCommand, bearing_error, distance_to
+from localization.navigation.control_law import StallDetector, VelocityCommand, bearing_error, distance_to
 from localization.navigation.path import TurnProgress, sample_waypoints
-from localization.navigation.recovery import StallDetector
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances
 from localization.navigation.waypoints import follow_waypoints, start_localizer
 from nclient import Robot

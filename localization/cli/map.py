@@ -36,11 +36,11 @@ from nclient.common.arguments import add_flag, add_value
 from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode, show_seconds
 from nclient.errors import MapFileError, OutputFileError, WorldFileError
+from worlds.cells import hausdorff_distance_in, simplify_world
 from worlds.drawing import ESTIMATE, GOAL, ODOMETRY, blank, draw_walls
 from worlds.io import format_world, load_world, parse_world
 from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
 from worlds.robots import BODIES
-from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
 from worlds.world import Point, World
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.errors import NomadError
 
 Answer = Callable[..., Any]

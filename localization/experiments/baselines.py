@@ -13,8 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from localization.experiments import execution
 from localization.experiments.execution import progress
-from nclient.common.arguments import Parser
-from nclient.common.hints import install_command
+from nclient.common.arguments import Parser, install_command
 from nclient.errors import ExtraMissing
 
 

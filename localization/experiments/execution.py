@@ -40,9 +40,8 @@ from localization.experiments.figure_trial import (
     typical,
 )
 from localization.filters.belief import difference
-from nclient.common.arguments import add_flag, add_value, whole_number
+from nclient.common.arguments import add_flag, add_value, install_command, whole_number
 from nclient.common.files import write_atomic
-from nclient.common.hints import install_command
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 from worlds import drawing
 from worlds.compiled import is_compiled_for

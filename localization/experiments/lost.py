@@ -48,9 +48,8 @@ from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer, cached_search
 from localization.live.sensor_input import SensorInput, restart_ring
 from localization.mapping.aliases import AliasFinder
-from localization.navigation.control_law import STAND, VelocityCommand, bearing_error
+from localization.navigation.control_law import STAND, TURN_RAD_S, RecoveryBehavior, VelocityCommand, bearing_error
 from localization.navigation.path import sample_waypoints
-from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient.common.arguments import Parser, add_value, whole_number

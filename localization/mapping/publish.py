@@ -15,8 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats
-from localization.live.publish import Publisher
-from localization.live.run import GroundTruth
+from localization.live.run import GroundTruth, Publisher
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate

@@ -23,9 +23,15 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds
-from localization.navigation.control_law import STAND, AxisLimits, BackOff, StateGapLimiter, VelocityCommand
+from localization.navigation.control_law import (
+    STAND,
+    AxisLimits,
+    BackOff,
+    StallDetector,
+    StateGapLimiter,
+    VelocityCommand,
+)
 from localization.navigation.path import PathFollower, PathSection, angle_difference, line_between, wall_distances
-from localization.navigation.recovery import StallDetector
 from localization.navigation.waypoints import drive_unless_held, stop_on_exit, wait_for_next_state
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot

@@ -34,7 +34,7 @@ from typing import Any, Final, NamedTuple
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.health import HealthStatus
 from localization.live.run import Pose
-from localization.navigation.control_law import STAND, VelocityCommand
+from localization.navigation.control_law import STAND, RecoveryBehavior, VelocityCommand
 from localization.navigation.obstacles import position_std_in
 from localization.navigation.path import (
     TURNED_RAD,
@@ -57,7 +57,6 @@ from localization.navigation.pilot import (
     check_arguments,
     read_points,
 )
-from localization.navigation.recovery import RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError

@@ -41,8 +41,7 @@ from localization.filters.belief import Belief, Floats
 from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
-from localization.live.publish import Publisher, build_message
-from localization.live.run import GroundTruth
+from localization.live.run import GroundTruth, Publisher, build_message
 from localization.live.sensor_input import SensorInput
 from localization.navigation.control_law import (
     MODEL_LIMITS,

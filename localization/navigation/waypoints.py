@@ -24,13 +24,13 @@ from localization.navigation.control_law import (
     STAND,
     ControlGains,
     PoseSmoother,
+    RecoveryBehavior,
     StateGapLimiter,
     VelocityCommand,
     distance_to,
     next_step,
     slow_for_turn,
 )
-from localization.navigation.recovery import RecoveryBehavior
 from nclient.errors import NomadError, RobotHeld
 from nclient.robot import Robot
 from nclient.state import RobotState

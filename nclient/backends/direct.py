@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import Final
 
 from nclient.backends.base import LinkStatistics, is_wait, split_wait
-from nclient.backends.validation import ReplyValidator
+from nclient.backends.wrappers import ReplyValidator
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
@@ -27,8 +27,7 @@ from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import MIN_FRAME, SerialFrame, SerialFramer
-from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, serial_wire_state
+from nclient.protocol.types import DEFAULT_LASER_MODE, EVERYTHING, LINES, N150, Model, serial_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 GAP_S: Final = 0.25

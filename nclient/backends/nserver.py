@@ -19,8 +19,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
 from nclient.protocol.replies import STATE, Reply, TcpLayout, text_of
-from nclient.protocol.types import EVERYTHING, N150, Mask, Model
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, Mask, Model, tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 DEFAULT_TIMEOUT_S: Final = 5.0

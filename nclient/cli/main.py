@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nclient.common import process
-from nclient.common.arguments import Parser, add_version, protect_coordinates
-from nclient.common.hints import closest_match, entry_points, install_hint
+from nclient.common.arguments import Parser, add_version, closest_match, entry_points, install_hint, protect_coordinates
 from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
 from nclient.common.start import exit_on_interrupt
 from nclient.errors import NomadError

@@ -23,14 +23,13 @@ from typing import Final, Protocol
 
 from nclient.cli import state_text
 from nclient.cli.serving import print_message
-from nclient.cli.shell_help import candidates, parse
-from nclient.cli.shell_session import Session
+from nclient.cli.shell_session import Session, candidates, parse
 from nclient.common.arguments import add_address, add_value
 from nclient.common.files import read_text
 from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
 from nclient.errors import NomadError, ShellError
-from nclient.protocol.wire_state import WireState
+from nclient.protocol.types import WireState
 from nclient.url import parse_address
 
 MAX_HISTORY = 2000

@@ -12,8 +12,8 @@ from prompt_toolkit.completion import CompleteEvent, Completer, Completion
 from prompt_toolkit.document import Document
 from prompt_toolkit.history import FileHistory, History, InMemoryHistory
 
-from nclient.cli.shell_help import candidates, hint
-from nclient.protocol.wire_state import WireState
+from nclient.cli.shell_session import candidates, hint
+from nclient.protocol.types import WireState
 
 REFRESH_S = 0.5
 """Interval at which the status line is drawn."""

@@ -17,7 +17,7 @@ Kinds for whole frames: drop, delay, nak, silence, hang_up; for bytes: corrupt, 
 
 Plans are immutable and validated when created; errors are FaultPlanError with file, rule, key and the expected value.
 Each rule counts the frames that reach it, separately per line, so that `every = 10` is exactly every tenth of them.
-`frames.py` carries plans out.
+`inject.py` carries plans out.
 """
 
 import dataclasses
@@ -33,8 +33,8 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common import validation
+from nclient.common.arguments import suggest
 from nclient.common.files import parse_toml, read_text
-from nclient.common.hints import suggest
 from nclient.errors import FaultPlanError
 from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME

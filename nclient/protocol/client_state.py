@@ -11,17 +11,54 @@ Also here: the handshake, eleven bytes without a frame that a N200 sends first w
     b0 b1 b2 b3 b4 | bit 0 = compass | bit 0 = laser, position-data bits x 2 | laser mode | 3 unused
 
 It reports the mask and laser mode in force. As on the serial line, Smask[41] is not sent and reads 1.
+
+The ring packet: all sonars of a simulated robot, in thousandths of an inch, in a user packet.
+
+State has slots for 16 sonars in whole inches. A ring of a model file may have more, or finer ones; clients that know it
+send this special_request, which takes no simulated time. Robots and other servers refuse it.
+
+    request     type 60, one byte: 0 read, 1 restart the ring with the order and interval of its model, and read
+    reply       type 60, clock in ms (4 bytes), number of sonars (1 byte), 3 bytes for each reading; low bytes first
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
 
 from nclient.errors import HELD, WireError
-from nclient.protocol import requests
+from nclient.protocol import layouts
 from nclient.protocol.replies import LAST_TCP_SLOT, Reply
-from nclient.protocol.types import COMPASS_SLOT, LASER_SLOT, Mask, Stamp, mask_from_line
-from nclient.protocol.wire_state import WireState
+from nclient.protocol.types import COMPASS_SLOT, LASER_SLOT, Mask, Stamp, WireState, mask_from_line
+
+RING_PACKET = 60
+READ, RESTART = 0, 1
+_HEAD, _CLOCK, _READING, _PER_IN = 5, 4, 3, 1000
+
+
+class RingReadings(NamedTuple):
+    """The clock of the robot, and the last reading of each sonar in inches, as its model file describes them."""
+
+    clock_s: float
+    readings_in: tuple[float, ...]
+
+
+def pack_ring(clock_ms: int, readings_in: Sequence[float]) -> bytes:
+    """Return the data of a reply."""
+    words = [round(reading * _PER_IN).to_bytes(_READING, "little") for reading in readings_in]
+    return clock_ms.to_bytes(_CLOCK, "little") + bytes((len(words),)) + b"".join(words)
+
+
+def parse_ring(data: bytes) -> RingReadings:
+    """Return the readings of a reply's data. Raises WireError if it is none."""
+    if len(data) < _HEAD or len(data) != _HEAD + data[_HEAD - 1] * _READING:
+        raise WireError(f"a ring packet of {len(data)} bytes, which do not match its number of sonars")
+    numbers = [int.from_bytes(data[at : at + _READING], "little") for at in range(_HEAD, len(data), _READING)]
+    clock_ms = int.from_bytes(data[:_CLOCK], "little")
+    return RingReadings(clock_ms / 1000, tuple([number / _PER_IN for number in numbers]))
+
 
 STATE_SIZE = 45
 ERROR_SLOT = 44
@@ -103,7 +140,7 @@ def read_handshake(data: bytes) -> Handshake:
         For any other number of bytes.
     """
     try:
-        fields = requests.parse(_LAYOUT, data)
+        fields = layouts.parse(_LAYOUT, data)
     except ConstructError:
         raise WireError(f"a hello has {HANDSHAKE_SIZE} bytes, not {len(data)}") from None
     # Bytes 5 and 6 of a serial ct request: laser, then compass and position-data bits.
@@ -121,7 +158,7 @@ def build_handshake(handshake: Handshake) -> bytes:
     """
     smask = handshake.mask.smask
     try:
-        return requests.build(_LAYOUT, {
+        return layouts.build(_LAYOUT, {
             "common": bytes(handshake.mask.line_bytes()[:5]),
             "compass": smask[COMPASS_SLOT],
             "laser": smask[LASER_SLOT] | handshake.mask.position << 1,

@@ -24,16 +24,23 @@ from typing import Any, Final, NamedTuple
 
 from construct import ConstructError
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.errors import WireError
-from nclient.protocol import commands, requests, serial_framing
+from nclient.protocol import commands, layouts, serial_framing
 from nclient.protocol import replies as shape
-from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, check_laser, checked_readings
+from nclient.protocol.layouts import (
+    HISTORY_BYTE,
+    LASER_MODE_BYTE,
+    LINE_BYTE,
+    LINE_SIGNED,
+    LINE_UNSIGNED,
+    Fields,
+    check_laser,
+    checked_readings,
+)
 from nclient.protocol.replies import Reply, TcpLayout, summarize_error
-from nclient.protocol.requests import HISTORY_BYTE, LASER_MODE_BYTE, Fields
 from nclient.protocol.serial_framing import SerialFrame
-from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Stamp
-from nclient.protocol.wire_state import LINES, POINTS, TCP_LINE_MODES, WireState
+from nclient.protocol.types import LINES, NO_STAMP, POINTS, STAMP_KEYS, TCP_LINE_MODES, Mask, Stamp, WireState
 
 _HEADER = struct.Struct(">hH")
 _WORD_SIZE = 4
@@ -484,7 +491,7 @@ def encode_serial_request(call: commands.Call, wire_state: WireState) -> bytes:
         raise WireError(overflow)
     _check_argument_count(row, call.args)
     try:
-        data = requests.build(row.line_request, call.args)
+        data = layouts.build(row.line_request, call.args)
     except (WireError, ConstructError, TypeError, OverflowError, ValueError) as error:
         raise WireError(f"{row.name}{call.args}: {summarize_error(error)}") from None
     frame = serial_framing.build_frame(row.line_type, data)
@@ -512,7 +519,7 @@ def _parse_line_data(row: commands.Command, data: bytes) -> commands.Call:
     if not data and not row.arguments:
         return commands.Call(row.name)
     try:
-        return commands.Call(row.name, tuple(requests.parse(row.line_request, data)))
+        return commands.Call(row.name, tuple(layouts.parse(row.line_request, data)))
     except (ConstructError, WireError) as error:
         raise WireError(f"{row.name}: {summarize_error(error)}") from None
 

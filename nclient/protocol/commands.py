@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 from construct import Construct
 
+from nclient.protocol import layouts
 from nclient.protocol import replies as shape
-from nclient.protocol import requests
-from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, MAX_LASER_READINGS
+from nclient.protocol.layouts import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, MAX_LASER_READINGS
 from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.types import MODELS, Model
 
@@ -32,7 +32,7 @@ class Argument(NamedTuple):
     @property
     def is_flag(self) -> bool:
         """True for an argument that is 0 or 1."""
-        return self.line is requests.FLAG_BYTE
+        return self.line is layouts.FLAG_BYTE
 
 
 class Call(NamedTuple):
@@ -57,7 +57,7 @@ class Command:
     summary: str
     arguments: tuple[Argument, ...]
     tcp_type: int | None
-    tcp_request: requests.TcpArguments | None
+    tcp_request: layouts.TcpArguments | None
     """None where each argument is a word."""
     tcp_words: tuple[int, int]
     """Minimum and maximum words of a request."""
@@ -90,9 +90,9 @@ def _row(
     count = len(arguments)
     are_flags = [argument.is_flag for argument in arguments]
     fields: dict[str, Any] = {
-        "tcp_request": requests.FlagWords(are_flags) if any(are_flags) else None,
+        "tcp_request": layouts.FlagWords(are_flags) if any(are_flags) else None,
         "tcp_words": (count, count),
-        "line_request": requests.Fields(*[a.name / a.line for a in arguments]),
+        "line_request": layouts.Fields(*[a.name / a.line for a in arguments]),
         "line_models": ALL,
         "line_timeout_s": 1.0,
         "extra_arguments": None,
@@ -125,24 +125,24 @@ _MODES = [
     for axis in ("translation", "steering", "turret")
     for argument in (Argument(f"{axis}_mode", line=LINE_UNSIGNED), Argument(f"{axis}_value"))
 ]
-_FLAGS = tuple(Argument(name, requests.FLAG_BYTE) for name in ("translation", "steering", "turret"))
+_FLAGS = tuple(Argument(name, layouts.FLAG_BYTE) for name in ("translation", "steering", "turret"))
 _POSE = _signed("x", "y", "steering", "turret")
 _SMASK = _signed(*[f"Smask_{k}" for k in range(44)])
 _STATE = (shape.STATE, shape.LINE_STATE)
 _SIMPLE = (shape.SIMPLE, shape.LINE_STATE)
 _LIST = (shape.SIMPLE_LIST, shape.LINE_STATE)
 _SPECIAL = (shape.SPECIAL, shape.LINE_SPECIAL)
-_OBSTACLE_WORDS = (3, 1 + 2 * requests.MAX_OBSTACLE_VERTICES)
-_PACKET = requests.UserPacket()
+_OBSTACLE_WORDS = (3, 1 + 2 * layouts.MAX_OBSTACLE_VERTICES)
+_PACKET = layouts.UserPacket()
 
 
 def _arm(
-    name: str, method: str, packet: requests.ArmPacket, packet_type: int, arguments: tuple[str, ...], summary: str
+    name: str, method: str, packet: layouts.ArmPacket, packet_type: int, arguments: tuple[str, ...], summary: str
 ) -> Command:
     size = packet.octets
     return _row(
         name, method, (300, 128), _signed(*arguments), _SPECIAL, summary,
-        tcp_request=requests.ByteWords(packet), tcp_words=(size, size), line_request=packet,
+        tcp_request=layouts.ByteWords(packet), tcp_words=(size, size), line_request=packet,
         line_timeout_s=30.0, packet_type=packet_type,
     )
 
@@ -179,16 +179,16 @@ COMMANDS: tuple[Command, ...] = (
          "set what the encoders say of the angles"),
     # configuration
     _row("ct", "select_sensors", (16, 6), _SMASK, _STATE, "select the sensors and numbers in replies",
-         tcp_request=requests.TcpMask(), tcp_words=(7, 7), line_request=requests.LineMask(), line_models=N200,
+         tcp_request=layouts.TcpMask(), tcp_words=(7, 7), line_request=layouts.LineMask(), line_models=N200,
          extra_arguments=("mask", slice(0, 44))),
-    _row("conf_ir", "configure_infrareds", (22, 14), (Argument("history", line=requests.HISTORY_BYTE), *_ORDER), _STATE,
+    _row("conf_ir", "configure_infrareds", (22, 14), (Argument("history", line=layouts.HISTORY_BYTE), *_ORDER), _STATE,
          "set the infrareds' history and firing order", line_models=N200),
     _row("conf_sn", "configure_sonars", (23, 15), (*_bytes("rate"), *_ORDER), _STATE,
          "set the sonars' firing rate (4 ms steps) and order, and restart the ring"),
     _row("conf_cp", "configure_compass", (24, 16), _bytes("mode"), (shape.STATE, shape.LINE_CALIBRATION),
          "compass off, on, or calibrating", line_models=N200),
     _row("conf_ls", "configure_laser", (25, 17),
-         (Argument("mode", line=requests.LASER_MODE_BYTE), *_bytes("threshold", "width"), *_unsigned("num_data"),
+         (Argument("mode", line=layouts.LASER_MODE_BYTE), *_bytes("threshold", "width"), *_unsigned("num_data"),
           *_bytes("processing")), _STATE,
          "set the laser's mode and number of columns; threshold, width, processing: no effect in a simulation",
          line_models=N200),
@@ -218,30 +218,30 @@ COMMANDS: tuple[Command, ...] = (
     _row("get_rpx", "read_robots", (75, None), (), _LIST, "ask where all robots are"),
     # speech, special packets, the arm
     _row("tk", "say", (19, 11), (Argument("text"),), _SIMPLE, "say a text",
-         tcp_request=requests.TextWords(), tcp_words=(1, requests.MAX_TEXT_WORDS), line_request=requests.LineText(),
+         tcp_request=layouts.TextWords(), tcp_words=(1, layouts.MAX_TEXT_WORDS), line_request=layouts.LineText(),
          line_models=N200),
-    _arm("arm_zr", "arm_zero", requests.ARM_ZERO, 40, ("override",), "zero the arm"),
-    _arm("arm_ws", "arm_wait", requests.ARM_WAIT, 41, ("lift", "grip", "timeout"), "wait until the arm is still"),
-    _arm("arm_mv", "arm_move", requests.ARM_MOVE, 42, ("lift_mode", "lift_value", "grip_mode", "grip_value"),
+    _arm("arm_zr", "arm_zero", layouts.ARM_ZERO, 40, ("override",), "zero the arm"),
+    _arm("arm_ws", "arm_wait", layouts.ARM_WAIT, 41, ("lift", "grip", "timeout"), "wait until the arm is still"),
+    _arm("arm_mv", "arm_move", layouts.ARM_MOVE, 42, ("lift_mode", "lift_value", "grip_mode", "grip_value"),
          "move the arm"),
     _row("special_request", "send_packet", (300, 128), (Argument("packet_type"),), _SPECIAL,
-         "send a user packet; the answer is one too", tcp_request=requests.ByteWords(_PACKET),
-         tcp_words=(4, 4 + requests.MAX_PACKET_DATA), line_request=_PACKET, line_timeout_s=30.0,
+         "send a user packet; the answer is one too", tcp_request=layouts.ByteWords(_PACKET),
+         tcp_words=(4, 4 + layouts.MAX_PACKET_DATA), line_request=_PACKET, line_timeout_s=30.0,
          extra_arguments=("packet_type", slice(0, 1)), any_length=True),
     # the world and its windows (an Nserver only)
     _row("place_robot", "place", (41, None), _POSE, _SIMPLE, "put the robot, and what its encoders say, somewhere"),
     _row("add_obstacle", "add_obstacle", (50, None), _signed("n"), _SIMPLE, "add a polygon to the world",
-         tcp_request=requests.ObstacleWords(), tcp_words=_OBSTACLE_WORDS, any_length=True),
+         tcp_request=layouts.ObstacleWords(), tcp_words=_OBSTACLE_WORDS, any_length=True),
     _row("delete_obstacle", "delete_obstacle", (51, None), _signed("n"), _SIMPLE, "take a polygon away",
-         tcp_request=requests.ObstacleWords(), tcp_words=_OBSTACLE_WORDS, any_length=True),
+         tcp_request=layouts.ObstacleWords(), tcp_words=_OBSTACLE_WORDS, any_length=True),
     _row("move_obstacle", "move_obstacle", (52, None), _signed("n"), _LIST, "shift a polygon",
-         tcp_request=requests.ObstacleWords(tail=2), tcp_words=(5, 3 + 2 * requests.MAX_OBSTACLE_VERTICES),
+         tcp_request=layouts.ObstacleWords(tail=2), tcp_words=(5, 3 + 2 * layouts.MAX_OBSTACLE_VERTICES),
          any_length=True),
     _row("new_world", "clear_world", (53, None), (), _SIMPLE, "take all obstacles away"),
     _row("predict_sensors", "predict_sensors", (42, None), _POSE, (shape.PREDICTION, shape.LINE_STATE),
          "ask what the sensors would read elsewhere"),
     _row("motion_check", "check_motion", (400, None), _signed("type"), (shape.COLLISION, shape.LINE_STATE),
-         "ask whether a line or an arc hits something", tcp_request=requests.MotionWords(), tcp_words=(8, 8),
+         "ask whether a line or an arc hits something", tcp_request=layouts.MotionWords(), tcp_words=(8, 8),
          any_length=True),
     _row("get_robot_conf", "ask_pose", (200, None), (), (shape.CLICKED_CONFIGURATION, shape.LINE_STATE),
          "ask for a pose clicked in the window"),
@@ -292,7 +292,7 @@ _STATE_WORDS = 45 + _LASER_WORDS + 35 * _STAMP_WORDS + 3
 MAX_REPLY_WORDS = {
     80: _STATE_WORDS, 81: _STATE_WORDS, 82: 1024, 83: 17 + 16 * _STAMP_WORDS, 84: 17 + 16 * _STAMP_WORDS,
     85: _LASER_WORDS + _STAMP_WORDS + 1, 86: 2 + _STAMP_WORDS, 87: 2 + _STAMP_WORDS, 88: 4, 89: 3, 90: 3,
-    ERROR_TYPE: 1, 300: 4 + requests.MAX_PACKET_DATA, 1000: 8, 1001: 4,
+    ERROR_TYPE: 1, 300: 4 + layouts.MAX_PACKET_DATA, 1000: 8, 1001: 4,
 }
 """Maximum words of a reply by type; types 81 and 90 exist in old servers."""
 

@@ -25,8 +25,20 @@ from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
 from nclient.protocol.codec import TcpFrame, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
 from nclient.protocol.replies import LINE_STATE, Reply, TcpLayout
-from nclient.protocol.types import BUMPER_SLOT, CPU_RANGE_V, MODELS, MOTOR_RANGE_V, N150, N200, SCOUT, Model, volts
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import (
+    BUMPER_SLOT,
+    CPU_RANGE_V,
+    MODELS,
+    MOTOR_RANGE_V,
+    N150,
+    N200,
+    SCOUT,
+    Model,
+    WireState,
+    serial_wire_state,
+    tcp_wire_state,
+    volts,
+)
 
 WIRES = ("tcp", "tcp64", "serial")
 """Protocols: Nserver's for 32-bit and 64-bit clients, and the robot's own serial line."""

@@ -21,9 +21,19 @@ from typing import Any, Final, NamedTuple
 from construct import Construct, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol import fields
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position, Stamp
-from nclient.protocol.wire_state import LINES, PIXELS, WireState, line_laser_width
+from nclient.protocol import layouts
+from nclient.protocol.types import (
+    BUMPER_SLOT,
+    COMPASS_SLOT,
+    LASER_SLOT,
+    LINES,
+    PIXELS,
+    Mask,
+    Position,
+    Stamp,
+    WireState,
+    line_laser_width,
+)
 
 MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
@@ -126,7 +136,7 @@ class _Member(NamedTuple):
 
 
 def _member(name: str, subcon: Construct) -> _Member:
-    is_absent = subcon.is_absent if isinstance(subcon, fields.Masked) else None
+    is_absent = subcon.is_absent if isinstance(subcon, layouts.Masked) else None
     return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, is_absent)
 
 
@@ -244,39 +254,39 @@ ERROR = TcpLayout("error", values=1)
 # clock and voltages are always there.
 LINE_STATE = LineLayout(
     "state",
-    slots_infrared=fields.LineNibbles(1, 16),
-    stamps_infrared=fields.LineStamps(Position.INFRARED, range(1, 17)),
-    slots_sonar=fields.LineSlots(17, 32, fields.BYTES),
-    stamps_sonar=fields.LineStamps(Position.SONAR, range(17, 33)),
-    slots_bumper=fields.BumperBytes(BUMPER_SLOT),
-    stamps_bumper=fields.LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
-    slots_pose=fields.LineSlots(34, 40, fields.SIGNED_SHORTS),
-    slots_compass=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SIGNED_SHORTS),
-    stamps_compass=fields.LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
-    laser=fields.LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
-    stamps_laser=fields.LineStamps(Position.LASER, (LASER_SLOT,)),
-    slots_motors=fields.LineSlots(MOTOR_SLOT, MOTOR_SLOT, fields.BYTES, masked=False),
-    clock=fields.LINE_CLOCK,
-    volts=fields.LineRun(2, fields.BYTES),
+    slots_infrared=layouts.LineNibbles(1, 16),
+    stamps_infrared=layouts.LineStamps(Position.INFRARED, range(1, 17)),
+    slots_sonar=layouts.LineSlots(17, 32, layouts.BYTES),
+    stamps_sonar=layouts.LineStamps(Position.SONAR, range(17, 33)),
+    slots_bumper=layouts.BumperBytes(BUMPER_SLOT),
+    stamps_bumper=layouts.LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
+    slots_pose=layouts.LineSlots(34, 40, layouts.SIGNED_SHORTS),
+    slots_compass=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SIGNED_SHORTS),
+    stamps_compass=layouts.LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
+    laser=layouts.LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
+    stamps_laser=layouts.LineStamps(Position.LASER, (LASER_SLOT,)),
+    slots_motors=layouts.LineSlots(MOTOR_SLOT, MOTOR_SLOT, layouts.BYTES, masked=False),
+    clock=layouts.LINE_CLOCK,
+    volts=layouts.LineRun(2, layouts.BYTES),
 )
 
 
 def _line_query(kind: str, position: Position, **readings: Construct) -> LineLayout:
     """Return the layout of the reply to a get_* command: all its readings, whatever the mask, stamps and clock."""
-    return LineLayout(kind, **readings, stamps=fields.LineStamps(position), clock=fields.LINE_CLOCK)
+    return LineLayout(kind, **readings, stamps=layouts.LineStamps(position), clock=layouts.LINE_CLOCK)
 
 
-LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=fields.LineNibbles(1, 16, masked=False))
-LINE_SONAR = _line_query("sonar", Position.SONAR, slots=fields.LineSlots(17, 32, fields.BYTES, masked=False))
-LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=fields.BumperBytes(BUMPER_SLOT, masked=False))
+LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=layouts.LineNibbles(1, 16, masked=False))
+LINE_SONAR = _line_query("sonar", Position.SONAR, slots=layouts.LineSlots(17, 32, layouts.BYTES, masked=False))
+LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=layouts.BumperBytes(BUMPER_SLOT, masked=False))
 LINE_COMPASS = _line_query(
-    "compass", Position.COMPASS, slots=fields.LineSlots(COMPASS_SLOT, COMPASS_SLOT, fields.SHORTS, masked=False)
+    "compass", Position.COMPASS, slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False)
 )
-LINE_LASER = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: PIXELS))
-LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=fields.LineLaser(lambda _: LINES))
-LINE_CONFIGURATION = LineLayout("configuration", slots=fields.LineSlots(34, 37, fields.SIGNED_SHORTS, masked=False))
-LINE_VELOCITY = LineLayout("velocity", slots=fields.LineSlots(38, 40, fields.SIGNED_SHORTS, masked=False))
+LINE_LASER = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: PIXELS))
+LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: LINES))
+LINE_CONFIGURATION = LineLayout("configuration", slots=layouts.LineSlots(34, 37, layouts.SIGNED_SHORTS, masked=False))
+LINE_VELOCITY = LineLayout("velocity", slots=layouts.LineSlots(38, 40, layouts.SIGNED_SHORTS, masked=False))
 LINE_NOTHING = LineLayout("velocity")
-LINE_CALIBRATION = LineLayout("compass", values=fields.LineRun(3, fields.BYTES))
+LINE_CALIBRATION = LineLayout("compass", values=layouts.LineRun(3, layouts.BYTES))
 LINE_SPECIAL = LineLayout("special", values=GreedyRange(Int8ub))
 LINE_NAK = LineLayout("nak")

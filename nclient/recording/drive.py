@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Final, NamedTuple
 
-from nclient.common.hints import version
+from nclient.common.arguments import version
 from nclient.errors import RecordingError, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, request_bounds
@@ -34,11 +34,11 @@ from nclient.protocol.types import (
     SONAR_SLOTS,
     Model,
     heading_tenths,
+    tcp_wire_state,
     tenths,
     tenths_from_rad,
     wrap_word,
 )
-from nclient.protocol.wire_state import tcp_wire_state
 from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, Recording, as_object
 
 RING: Final = tuple(math.tau * k / SONAR_SLOTS for k in range(SONAR_SLOTS))

@@ -18,14 +18,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from nclient.common.hints import version
+from nclient.common.arguments import version
 from nclient.protocol import codec, serial_framing
 from nclient.protocol.client_state import HANDSHAKE_SIZE
 from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.decode import WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.types import Model
-from nclient.protocol.wire_state import WireState
+from nclient.protocol.types import Model, WireState
 from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
 from nclient.transports.stream import ByteStream, Deadline
 

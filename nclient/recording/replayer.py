@@ -22,8 +22,7 @@ from nclient.protocol import codec, serial_framing
 from nclient.protocol.codec import request_bounds
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE, Reply
-from nclient.protocol.types import N150, Model, get_model
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import N150, Model, get_model, serial_wire_state, tcp_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
 from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, make_frame_tap
 

@@ -25,13 +25,22 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.errors import RecordingError
 from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
-from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TEXT, TF, TF_STATIC, TRANSFORMS
-from nclient.recording.ros_types import MessageBuilder
+from nclient.recording.ros_messages import (
+    BATTERY,
+    NUMBER,
+    ODOMETRY,
+    SCAN,
+    TEXT,
+    TF,
+    TF_STATIC,
+    TRANSFORMS,
+    MessageBuilder,
+)
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"

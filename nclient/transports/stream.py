@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from nclient.common.hints import entry_points
+from nclient.common.arguments import entry_points
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 
 if TYPE_CHECKING:

@@ -33,9 +33,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from nclient.common.hints import suggest, version
+from nclient.common.arguments import suggest, version
 from nclient.errors import ConnectionLost, ControlError, NomadError
-from nclient.faults.frames import total
+from nclient.faults.inject import total
 from nclient.faults.plan import MAX_BYTES, load_plan, parse_plan, plan_text
 from nserver_emu.control import snapshot
 from nserver_emu.server.daemon import Daemon

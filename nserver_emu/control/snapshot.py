@@ -26,8 +26,8 @@ from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from nclient.common.arguments import version
 from nclient.common.files import read_text, write_atomic
-from nclient.common.hints import version
 from nclient.errors import SnapshotError
 from nserver_emu.server.admission import SNAPSHOT_BYTES
 from nserver_emu.server.config import MAX_ROBOTS

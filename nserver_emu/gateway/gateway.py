@@ -38,8 +38,15 @@ from nclient.common.files import write_errors_as
 from nclient.errors import AddressError, RecordingError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, EVERYTHING, FULL_TURN_TENTHS, Model, rad_from_tenths
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import (
+    BUMPER_SLOT,
+    COMPASS_SLOT,
+    EVERYTHING,
+    FULL_TURN_TENTHS,
+    Model,
+    rad_from_tenths,
+    tcp_wire_state,
+)
 from nserver_emu.gateway import real_robot
 from nserver_emu.gateway.real_robot import SLOW, STOP, Job, JobResult, Link, RobotWorker, whole_state
 from nserver_emu.server.estop import MOTIONS, moves

@@ -42,8 +42,7 @@ from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
-from nclient.protocol.wire_state import LINES, PIXELS, POINTS
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, LINES, PIXELS, POINTS, Model, tenths
 from nserver_emu.server.server_state import INFRARED_NOTHING, apply_mask
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED, ConnectionContext, done, error_reply
 from nserver_emu.simulation.sensors import COLUMNS, PIXEL_IN, LineFit, lines, points

@@ -30,9 +30,9 @@ from typing import Any, Final
 
 from aiohttp import WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, is_loopback
-from nclient.common.hints import install_command
+from nclient.common.arguments import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
+from nclient.transports.listener import LOOPBACK_NAME, is_loopback
 from nserver_emu.ros import topics
 from nserver_emu.ros.topics import Estimates, RobotReader, map_message, rings_of
 from nserver_emu.server.daemon import Daemon

@@ -25,8 +25,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, NamedTuple, Protocol
 
-from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nclient.protocol.codec import MAX_UNKNOWN_WORDS
+from nclient.transports.listener import NOT_ALLOWED, Allowlist
 
 _LIMIT: Final = "limit"
 # Connections that a browser opens for a page at once: six for files, and the websocket.

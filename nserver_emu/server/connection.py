@@ -44,7 +44,7 @@ from itertools import count
 from math import inf
 from typing import Any, Final, Protocol, cast
 
-from nclient.faults.frames import Language, TcpLanguage
+from nclient.faults.inject import Language, TcpLanguage
 from nclient.protocol.types import N150
 from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
 from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts

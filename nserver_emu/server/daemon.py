@@ -16,10 +16,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from nclient.common.allowlist import LOOPBACK, LOOPBACK_NAME
 from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
+from nclient.transports.listener import LOOPBACK, LOOPBACK_NAME
 from nserver_emu.server import admission
 from nserver_emu.server.admission import (
     RESERVED_S,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.errors import AddressError
 from nclient.protocol.types import get_model
 from nclient.url import Parser, RawAddress, flag, number, whole_number

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import AddressError, ConnectionLost
-from nclient.faults.frames import Language, LineLanguage
+from nclient.faults.inject import Language, LineLanguage
 from nclient.protocol.types import Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
 from nserver_emu.server.connection import CLOSED, DISCONNECTED, OPEN, READ_SIZE, ConnectionHandler, TcpConnection

@@ -31,16 +31,14 @@ from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple, Protocol
 
 from nclient.errors import FaultPlanError, WireError
-from nclient.faults.frames import Injector, Language
-from nclient.faults.inject import DelayQueue, FaultyLine
+from nclient.faults.inject import DelayQueue, FaultyLine, Injector, Language
 from nclient.faults.plan import Plan
 from nclient.protocol import codec
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer
-from nclient.protocol.types import BUMPER_SLOT, Model, Stamp
-from nclient.protocol.wire_state import WireState, serial_wire_state
+from nclient.protocol.types import BUMPER_SLOT, Model, Stamp, WireState, serial_wire_state
 from nserver_emu.server.session import Answer, BaseSession, ConnectionContext
 
 BITS_PER_BYTE: Final = 10

@@ -32,10 +32,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from nclient.errors import HELD
-from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
+from nclient.protocol.client_state import ERROR_SLOT, RING_PACKET, STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.ring_packet import RING_PACKET
 from nclient.protocol.types import (
     BUMPER_SLOT,
     COMPASS_SLOT,
@@ -43,23 +42,26 @@ from nclient.protocol.types import (
     EVERYTHING,
     INFRARED_KEYS,
     LASER_SLOT,
+    LINES,
     MAX_SONAR_IN,
     MIN_SONAR_IN,
     MOTOR_RANGE_V,
     NO_STAMP,
+    POINTS,
     SONAR_KEYS,
     SONAR_SLOTS,
     Mask,
     Position,
     Stamp,
+    WireState,
     clamp_word,
     get_model,
     heading_tenths,
     rad_from_tenths,
     raw_volts,
+    serial_wire_state,
     tenths,
 )
-from nclient.protocol.wire_state import LINES, POINTS, WireState, serial_wire_state
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
 from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers

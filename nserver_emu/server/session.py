@@ -48,8 +48,7 @@ from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, limited_request_bounds, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150, Mask
-from nclient.protocol.wire_state import WireState, tcp_wire_state
+from nclient.protocol.types import N150, Mask, WireState, tcp_wire_state
 from nserver_emu.server.admission import Limits
 
 log = logging.getLogger(__name__)

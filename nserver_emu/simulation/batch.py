@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.hints import install_hint
+from nclient.common.arguments import install_hint
 from nclient.errors import ExtraMissing, StartError
 from nserver_emu.simulation.drive import NO_TRACK
 from nserver_emu.simulation.models import N150, RobotModel
@@ -155,7 +155,7 @@ class BatchSimulation:
             robots["angles"][chosen, 1] = self._starts[chosen, 2]
         # 3. Random streams, then power.
         if seed is not None:
-            words = self._kernel.batch_random.stream_words
+            words = self._kernel.stream_words
             for row in np.flatnonzero(chosen).tolist():
                 factory = RngFactory(row + 1, seed)
                 robots["streams"][row] = [words(factory, Purpose.MOTION), words(factory, Purpose.SONAR)]

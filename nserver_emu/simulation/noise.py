@@ -37,7 +37,7 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, given, one_of, reported_as
 from nclient.errors import AddressError, WorldFileError
 from nserver_emu.simulation.acoustics import Polaroid, SonarErrors

@@ -23,13 +23,12 @@ from types import TracebackType
 from typing import Any, Final
 
 from nclient.errors import REFUSALS, NomadError
-from nclient.faults.frames import Language, TcpLanguage
+from nclient.faults.inject import Language, TcpLanguage
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N150, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.server.connection import CLOSED, ConnectionHandler
 from nserver_emu.server.daemon import Daemon

@@ -24,8 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.common.process import NOMAD
-from nclient.protocol.types import heading_tenths, tenths
-from nclient.protocol.wire_state import WireState
+from nclient.protocol.types import WireState, heading_tenths, tenths
 from nserver_emu.control.commands import WORLD_SET, answer_line, answer_line_in_thread
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import messages

@@ -36,8 +36,8 @@ from urllib.parse import urlsplit
 from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED
 from nclient.errors import ConnectionLost, NomadError
+from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket
 

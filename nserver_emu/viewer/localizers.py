@@ -25,7 +25,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from nclient.common.hints import suggest
+from nclient.common.arguments import suggest
 from nclient.common.process import NOMAD
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid

@@ -88,8 +88,7 @@ from msgspec import Meta, Struct
 
 from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
 from nclient.protocol.commands import BY_NAME
-from nclient.protocol.types import Model
-from nclient.protocol.wire_state import WireState
+from nclient.protocol.types import Model, WireState
 from nclient.recording.format import format_frame
 from nclient.recording.recorder import (
     HANDSHAKE_FIRST,

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 from aiohttp import WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, is_loopback, is_same_machine
+from nclient.transports.listener import LOOPBACK_NAME, is_loopback, is_same_machine
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import http_port
 from nserver_emu.viewer.classroom import TEACHER, Student

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 from nclient.protocol import codec
 from nclient.protocol.commands import NAK_TYPE
-from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import N150, Model, WireState, serial_wire_state, tcp_wire_state
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
 from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
 

@@ -15,7 +15,7 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["p
 FOLDERS = (
     "docs", "nclient", "nserver_emu", "localization", "worlds", "clib", "scripts", "benchmarks", "examples", "fuzz",
 )
-PROGRAMS = ("nclient/common/hints.py", "scripts/venv")
+PROGRAMS = ("nclient/common/arguments.py", "scripts/venv")
 """Files that make an install line of variables."""
 SUFFIXES = (".md", ".py", ".ipynb", ".toml", ".sh", "")
 INSTALL = re.compile(r"pip install (?P<rest>[^`\n\"]+)")

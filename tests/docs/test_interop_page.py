@@ -13,8 +13,7 @@ import pytest
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N200
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N200, tcp_wire_state
 from tests.docs.pages import ROOT, code_blocks, command_lines, run
 from tests.nclient.cli.captures import TO_HOST, TO_ROBOT, Conversation, write_pcap
 from tests.programs.forked import Forked

@@ -15,8 +15,7 @@ from nclient import ConnectionLost, connect
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N150, tcp_wire_state
 from nclient.transports.stream import Deadline
 from tests.programs import forked, ports
 from tests.programs.forked import Forked

@@ -23,8 +23,7 @@ from nclient import ConnectionLost, Robot, connect
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, serial_wire_state
 from nclient.recording.format import read_recording
 from nserver_emu import cli as nserver_cli
 from tests.programs import forked

@@ -18,8 +18,7 @@ from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, N150, Model, serial_wire_state
 from nclient.transports.stream import MemoryStream
 from tests.nclient.protocol.recorded import SERIAL, exchanges, model_of
 

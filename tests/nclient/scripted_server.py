@@ -19,8 +19,7 @@ from nclient.protocol import replies as shape
 from nclient.protocol.codec import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N150, Model, tcp_wire_state
 from nclient.robot import Robot
 from nclient.transports.stream import MemoryStream
 

@@ -13,8 +13,7 @@ from nclient import RobotRefused, WireError, capi
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, SCOUT
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, SCOUT, serial_wire_state
 from tests.nclient.protocol.recorded import TCP, TCP_SESSIONS
 from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
 

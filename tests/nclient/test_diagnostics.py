@@ -8,8 +8,8 @@ import pytest
 
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
+from nclient.cli.doctor import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.connector import Connector
-from nclient.diagnostics import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply

@@ -7,8 +7,8 @@ from random import Random
 
 import pytest
 
-from nclient import diagnostics
-from nclient.diagnostics import Finding, Grade, worst
+from nclient.cli import doctor
+from nclient.cli.doctor import Finding, Grade, worst
 from nclient.protocol.types import N150, N200, SCOUT, Model
 from nclient.state import RobotState
 
@@ -38,44 +38,44 @@ def grades(findings: list[Finding]) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_noisy_ring_is_healthy(seed: int) -> None:
-    assert grades(diagnostics.sonars(rings(noisy(seed)))) == [("OK", "sonars")]
+    assert grades(doctor.sonars(rings(noisy(seed)))) == [("OK", "sonars")]
 
 
 def test_a_ring_without_noise_is_healthy() -> None:
-    assert grades(diagnostics.sonars(rings([[30]] * 15 + [[255]]))) == [("WARN", "sonars")]
-    assert grades(diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))) == [("OK", "sonars")]
-    assert "13 of 16" in diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))[0].seen
+    assert grades(doctor.sonars(rings([[30]] * 15 + [[255]]))) == [("WARN", "sonars")]
+    assert grades(doctor.sonars(rings([[30]] * 13 + [[255]] * 3))) == [("OK", "sonars")]
+    assert "13 of 16" in doctor.sonars(rings([[30]] * 13 + [[255]] * 3))[0].seen
 
 
 def test_dead_sonars() -> None:
     columns = noisy()
     columns[3], columns[9] = [0], [255]
-    findings = diagnostics.sonars(rings(columns))
+    findings = doctor.sonars(rings(columns))
     assert grades(findings) == [("FAIL", "sonar 3"), ("WARN", "sonars")]
     assert "no echo while both neighbours have some: 9" in findings[1].seen
-    assert grades(diagnostics.sonars(rings([[255]] * 16))) == [("WARN", "sonars")]
+    assert grades(doctor.sonars(rings([[255]] * 16))) == [("WARN", "sonars")]
 
 
 def test_silence_beside_a_corner_is_healthy() -> None:
     columns = [[40]] * 16
     columns[5], columns[6] = [255], [60]
-    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "two walls: 40 and 60 in"
+    assert grades(doctor.sonars(rings(columns))) == [("OK", "sonars")], "two walls: 40 and 60 in"
     columns[6] = [48]
-    assert grades(diagnostics.sonars(rings(columns))) == [("WARN", "sonars")], "one wall: 40 and 48 in"
+    assert grades(doctor.sonars(rings(columns))) == [("WARN", "sonars")], "one wall: 40 and 48 in"
 
 
 def test_a_stuck_sonar_is_steadier_than_nearer_ones() -> None:
     columns = noisy()
     columns[15] = [170]
-    assert grades(diagnostics.sonars(rings(columns))) == [("WARN", "sonar 15")]
-    assert grades(diagnostics.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few states"
+    assert grades(doctor.sonars(rings(columns))) == [("WARN", "sonar 15")]
+    assert grades(doctor.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few states"
     columns[15] = [20]
-    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "near ones are steady by nature"
+    assert grades(doctor.sonars(rings(columns))) == [("OK", "sonars")], "near ones are steady by nature"
     columns = [[30]] * 16
     columns[1], columns[2], columns[3], columns[4] = [40, 41], [40, 41], [40, 41], [100]
-    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "by one, rounding flickers"
+    assert grades(doctor.sonars(rings(columns))) == [("OK", "sonars")], "by one, rounding flickers"
     columns[1], columns[2], columns[3] = [20, 22], [20, 22], [20, 22]
-    assert len(diagnostics.sonars(rings(columns))) == 13
+    assert len(doctor.sonars(rings(columns))) == 13
 
 
 def test_infrareds() -> None:
@@ -83,9 +83,9 @@ def test_infrareds() -> None:
         return [state({1 + k: column[n % len(column)] for k, column in enumerate(columns)}, N200) for n in range(12)]
 
     changing = [[3, 5], [4, 6], [2, 7]]
-    assert grades(diagnostics.infrareds(states(*changing, *[[15]] * 13))) == [("OK", "infrareds")]
-    assert grades(diagnostics.infrareds(states(*changing, [9], *[[15]] * 12))) == [("WARN", "infrared 3")]
-    assert grades(diagnostics.infrareds(states(*[[0]] * 16))) == [("FAIL", "infrareds")]
+    assert grades(doctor.infrareds(states(*changing, *[[15]] * 13))) == [("OK", "infrareds")]
+    assert grades(doctor.infrareds(states(*changing, [9], *[[15]] * 12))) == [("WARN", "infrared 3")]
+    assert grades(doctor.infrareds(states(*[[0]] * 16))) == [("FAIL", "infrareds")]
 
 
 @pytest.mark.parametrize(("bits", "grade", "text"), [
@@ -93,7 +93,7 @@ def test_infrareds() -> None:
 ])
 @pytest.mark.parametrize("model", [N150, SCOUT])
 def test_bumpers(model: Model, bits: list[int], grade: str, text: str) -> None:
-    found = diagnostics.bumpers([state({33: model.bumper_rest | each}, model) for each in bits])
+    found = doctor.bumpers([state({33: model.bumper_rest | each}, model) for each in bits])
     assert (found.grade.name, text in found.seen) == (grade, True)
 
 
@@ -102,10 +102,10 @@ def test_bumpers(model: Model, bits: list[int], grade: str, text: str) -> None:
     (201, "FAIL", "10.48 V: empty"), (0, "FAIL", "4.80 V: empty"),
 ])
 def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
-    computer, motors = diagnostics.batteries(state(raw_volts=(raw, 255)))
+    computer, motors = doctor.batteries(state(raw_volts=(raw, 255)))
     assert (computer.what, computer.grade.name, computer.seen) == ("computer", grade, seen)
     assert (motors.what, motors.seen) == ("motors", "12.85 V")
-    assert grades(diagnostics.batteries(state(raw_volts=None))) == [("WARN", "battery")]
+    assert grades(doctor.batteries(state(raw_volts=None))) == [("WARN", "battery")]
 
 
 @pytest.mark.parametrize(("times", "grade", "text"), [
@@ -114,19 +114,19 @@ def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
     ([None, 7], "WARN", "never received"),
 ])
 def test_the_clock(times: list[int | None], grade: str, text: str) -> None:
-    found = diagnostics.clock([state(clock_ms=each) for each in times], 0.1)
+    found = doctor.clock([state(clock_ms=each) for each in times], 0.1)
     assert (found.grade.name, text in found.seen) == (grade, True)
 
 
 def test_the_rate_of_the_clock() -> None:
-    found = diagnostics.clock([state(clock_ms=0), state(clock_ms=3000)], 2.0)
+    found = doctor.clock([state(clock_ms=0), state(clock_ms=3000)], 2.0)
     assert found.seen == "went forward 3.0 s, 1.50 s a second"
 
 
 def test_a_moving_robot_is_reported() -> None:
-    assert diagnostics.motion([state(), state()]).grade is Grade.OK
+    assert doctor.motion([state(), state()]).grade is Grade.OK
     for moved in (state({41: 2}), state({39: -1})):
-        assert diagnostics.motion([state(), moved]).grade is Grade.WARN
+        assert doctor.motion([state(), moved]).grade is Grade.WARN
 
 
 def test_findings_are_printed_as_lines() -> None:

@@ -14,8 +14,7 @@ from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, NO_STAMP, SCOUT
 from nclient.robot import Robot
-from nclient.state import RobotState
-from nclient.units import AxisCommand
+from nclient.state import AxisCommand, RobotState
 from tests.nclient.scripted_server import ScriptedServer, error, robot_on, simple
 
 OWN_NAMES = {"sim_truth", "sim_control", "held_by"}

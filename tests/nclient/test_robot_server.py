@@ -11,8 +11,7 @@ import pytest
 from nclient.errors import RobotRefused, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import SCOUT
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import SCOUT, serial_wire_state
 from nclient.robot import Arc, Robot
 from nclient.state import Pose, Truth
 from tests.nclient.scripted_server import ScriptedServer, error, robot_on, simple

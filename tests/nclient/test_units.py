@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.units import AxisCommand, AxisMode, firing_order, points_tenths, tenths_of
+from nclient.state import AxisCommand, AxisMode, firing_order, points_tenths, tenths_of
 
 LENGTHS = st.floats(-1e5, 1e5)
 

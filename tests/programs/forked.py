@@ -26,8 +26,8 @@ from typing import IO, Any, Self
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([
     "nserver_emu.cli", "nserver_emu.server.pty", "nserver_emu.viewer.server", "numpy.random", "numpy.fft", "numpy.ma",
-    "nclient.cli.main", "nclient.cli.bridge", "nclient.cli.doctor", "nclient.cli.play",
-    "nclient.cli.shell", "nclient.cli.state", "nclient.cli.stop", "nclient.cli.dump",
+    "nclient.cli.main", "nclient.cli.serving", "nclient.cli.doctor", "nclient.cli.shell", "nclient.cli.robot",
+    "nclient.cli.files",
     "localization.cli.calibrate", "localization.cli.localize", "localization.cli.mission",
     "localization.cli.map", "tests.programs.preloaded",
 ])  # fmt: skip

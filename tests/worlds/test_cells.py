@@ -10,10 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worlds import cells as cells_module
-from worlds.cells import Cell, GridWalls, OccupancyGrid, braille_picture, cells_of_world, roomiest_place, walls_of_cells
+from worlds.cells import (
+    Cell,
+    GridWalls,
+    OccupancyGrid,
+    braille_picture,
+    cells_of_world,
+    hausdorff_distance_in,
+    roomiest_place,
+    walls_of_cells,
+)
 from worlds.geometry import area, nearest_points, polyline_segments
 from worlds.io import load_world
-from worlds.simplify import hausdorff_distance_in
 from worlds.world import Polygon, StartPose, World
 
 

@@ -9,10 +9,9 @@ import pytest
 
 from nclient.errors import StartError, WorldFileError
 from worlds.io import format_world, load_world, parse_world
-from worlds.picture import world_svg
 from worlds.raycast import cast_ray
 from worlds.validate import validate_world
-from worlds.world import MAX_DOORS, MAX_ROUTE_POINTS, MAX_WALKERS, Door, Polygon, Walker, World
+from worlds.world import MAX_DOORS, MAX_ROUTE_POINTS, MAX_WALKERS, Door, Polygon, Walker, World, world_svg
 
 HALVES = """
 [[room]]

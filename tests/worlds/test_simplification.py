@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from worlds.cells import hausdorff_distance_in, simplify_world
 from worlds.io import load_world, world_names
-from worlds.simplify import hausdorff_distance_in, simplify_world
 from worlds.world import Polygon, World
 
 OUTLINE = Polygon(((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0)), "hall")

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from nclient.protocol.client_state import READ, RESTART, RING_PACKET, pack_ring
 from nclient.protocol.replies import Reply
-from nclient.protocol.ring_packet import READ, RESTART, RING_PACKET, pack_ring
 from nserver_emu.server.graphics import Figure, Layer, Utterance
 from nserver_emu.server.server_state import ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 
 from nclient.protocol.replies import Reply, text_values
-from nclient.protocol.types import Position, clamp_word, wrap_word
-from nclient.protocol.wire_state import LINES
+from nclient.protocol.types import LINES, Position, clamp_word, wrap_word
 from nserver_emu.server.server_state import (
     BUMPER,
     COMPASS,

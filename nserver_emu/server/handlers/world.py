@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nclient.errors import StartError
+from nclient.protocol.layouts import MOTION_LINE
 from nclient.protocol.replies import Reply
-from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.session import (

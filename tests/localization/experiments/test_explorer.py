@@ -8,8 +8,7 @@ import numpy as np
 
 from localization.experiments.lost import RandomExplorer
 from localization.live.sensor_input import SensorData
-from localization.navigation.control_law import STAND, VelocityCommand
-from localization.navigation.recovery import TURN_RAD_S
+from localization.navigation.control_law import STAND, TURN_RAD_S, VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import Speeds
 from worlds.geometry import polygon_segments

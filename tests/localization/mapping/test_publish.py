@@ -11,8 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from localization.live.publish import Publisher
-from localization.live.run import GroundTruth
+from localization.live.run import GroundTruth, Publisher
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper
 from localization.mapping.publish import MAX_STD_IN, MapPublisher, is_uncertain

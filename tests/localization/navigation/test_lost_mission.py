@@ -9,10 +9,16 @@ from math import hypot, pi
 import pytest
 
 from localization.filters.health import FilterHealth, HealthStatus
-from localization.navigation.control_law import VelocityCommand
+from localization.navigation.control_law import (
+    BACK_OFF_IN_S,
+    MAX_DRIVE_IN_S,
+    SCAN_RAD,
+    TURN_RAD_S,
+    RecoveryBehavior,
+    VelocityCommand,
+)
 from localization.navigation.mission import Mission, MissionOver, _search_commands
 from localization.navigation.pilot import Observation, OnLost, RobotController, Settings
-from localization.navigation.recovery import BACK_OFF_IN_S, MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.state import Pose
 

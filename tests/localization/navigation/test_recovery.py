@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from localization.live.sensor_input import SensorData
-from localization.navigation.recovery import MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.control_law import MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.navigation.recovery import STALL_S, ContactDetector, StallDetector
+from localization.navigation.control_law import STALL_S, ContactDetector, StallDetector
 
 GOAL = np.array([20.0, 0.0])
 

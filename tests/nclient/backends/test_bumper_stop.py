@@ -6,8 +6,7 @@ import pickle
 
 import pytest
 
-from nclient.backends.base import Backend
-from nclient.backends.keep_alive import KeepAlive
+from nclient.backends.base import Backend, KeepAlive
 from nclient.backends.wrappers import BumperStop
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call

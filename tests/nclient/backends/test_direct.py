@@ -14,8 +14,7 @@ from nclient.protocol.client_state import ClientState, Handshake, build_handshak
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
-from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model, serial_wire_state
 from nclient.transports.stream import Deadline, MemoryStream
 from tests.nclient.protocol.recorded import LINE_SESSIONS, model_of
 from tests.nclient.scripted_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.keep_alive import KeepAlive
+from nclient.backends.base import KeepAlive
 from nclient.backends.nserver import NserverBackend
 from nclient.backends.wrappers import BumperStop, RetryingBackend
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout

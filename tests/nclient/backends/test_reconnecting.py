@@ -12,8 +12,7 @@ from nclient.backends.nserver import NserverBackend
 from nclient.backends.wrappers import ReconnectingBackend
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
-from nclient.protocol.types import EVERYTHING, N200
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, N200, serial_wire_state
 from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import ScriptedLine
 from tests.nclient.scripted_server import ScriptedServer

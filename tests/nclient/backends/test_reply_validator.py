@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.validation import ReplyValidator
+from nclient.backends.wrappers import ReplyValidator
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, SCOUT, Model

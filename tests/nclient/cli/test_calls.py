@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.cli.shell_help import ParsedCommand, parse
-from nclient.cli.shell_session import build_call
+from nclient.cli.shell_session import ParsedCommand, build_call, parse
 from nclient.errors import ShellError, WireError
 from nclient.protocol.commands import Call
-from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, WireState, serial_wire_state, tcp_wire_state
 
 TCP = tcp_wire_state(N150)
 PID = 4711

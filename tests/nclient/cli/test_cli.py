@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
-from nclient.common.hints import install_command
+from nclient.common.arguments import install_command
 from nclient.errors import ExtraMissing, StartError
 
 MODULES = {

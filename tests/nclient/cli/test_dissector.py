@@ -11,14 +11,13 @@ from typing import Any
 
 import pytest
 
-from nclient.cli.dissector import build_dissector
+from nclient.cli.wire import build_dissector
 from nclient.protocol import codec
 from nclient.protocol.client_state import ClientState, Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, Command
 from nclient.protocol.decode import WireDecoder, describe_client_state
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import MODELS, Mask, Model, Stamp
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import MODELS, Mask, Model, Stamp, WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.cli.captures import TO_HOST, TO_ROBOT, Conversation, dissect, write_pcap
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 from tests.nclient.protocol.strategies import line_reply_of, tcp_reply_of

@@ -11,7 +11,7 @@ import pytest
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
 from nclient.cli import doctor, main
-from nclient.cli.stop import RobotStopper
+from nclient.cli.robot import RobotStopper
 from nclient.errors import ConnectionLost
 from nclient.protocol import codec
 from nclient.protocol.commands import Call

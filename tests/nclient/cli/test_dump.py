@@ -13,8 +13,7 @@ from nclient.cli import main
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, N150
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, N150, serial_wire_state
 from nclient.recording.format import Entry, RecordingWriter, format_entry, format_frame
 
 Dump = Callable[..., tuple[int, list[str], str]]

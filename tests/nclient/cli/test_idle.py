@@ -8,8 +8,7 @@ from nclient.cli.serving import NO_LIMIT, IdleMonitor, IdleTimer
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import N150, serial_wire_state, tcp_wire_state
 from nclient.recording.recorder import SERIAL, TCP
 
 STATE = Reply("state", {34: 7}, clock=20)

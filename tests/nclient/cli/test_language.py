@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.cli.shell_help import Element, ParsedCommand, parse
+from nclient.cli.shell_session import Element, ParsedCommand, parse
 from nclient.errors import ShellError
 
 

@@ -5,11 +5,19 @@ from __future__ import annotations
 import pytest
 
 from nclient import capi
-from nclient.cli.shell_help import _EXAMPLES, ParsedCommand, help_lines, model_note, parameters, parse, summaries, usage
-from nclient.cli.shell_session import build_call
+from nclient.cli.shell_session import (
+    _EXAMPLES,
+    ParsedCommand,
+    build_call,
+    help_lines,
+    model_note,
+    parameters,
+    parse,
+    summaries,
+    usage,
+)
 from nclient.protocol.commands import BY_NAME, COMMANDS
-from nclient.protocol.types import MODELS, N150, SCOUT
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import MODELS, N150, SCOUT, serial_wire_state, tcp_wire_state
 
 
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)

@@ -18,8 +18,8 @@ from jsonschema import Draft202012Validator
 
 from fuzz.text_files import _MODEL, _SETUP, _STEPS, _WORLD
 from localization.navigation.mission_steps import parse_step_list
+from nclient.cli.files import file_schema
 from nclient.cli.main import main
-from nclient.cli.schema import file_schema
 from nclient.common.files import parse_toml
 from nclient.errors import NomadError
 from nclient.faults.plan import parse_plan

@@ -7,25 +7,31 @@ import socket
 import threading
 import time
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from nclient.cli import bridge, play
-from nclient.cli.serving import DEFAULT_IDLE_LIMIT_S, POLL_INTERVAL_S, ClientSession, open_listener, serve_clients
+from nclient.cli.serving import (
+    DEFAULT_IDLE_LIMIT_S,
+    POLL_INTERVAL_S,
+    BridgeCommand,
+    ClientSession,
+    PlayCommand,
+    open_listener,
+    serve_clients,
+)
 from nclient.transports.stream import ByteStream, Deadline
 
-both = pytest.mark.parametrize("command", [bridge, play], ids=["bridge", "play"])
+both = pytest.mark.parametrize("command", [BridgeCommand, PlayCommand])
 
 
 def options(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    bridge.add_arguments(parser)
+    BridgeCommand.add_arguments(parser)
     return parser.parse_args(["nserver://localhost", *words])
 
 
 @both
-def test_both_have_the_options(command: ModuleType) -> None:
+def test_both_have_the_options(command: type[BridgeCommand | PlayCommand]) -> None:
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     given = parser.parse_args(["x", "--listen", "0", "--allow", "10.0.0.0/8", "--allow", "::1"])
@@ -62,7 +68,7 @@ def test_a_port_open_to_the_network_is_warned_of(
 def test_rejected_clients_are_closed_and_reported_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
+    monkeypatch.setattr("nclient.transports.listener.is_loopback", lambda _host: False)
     with open_listener(options("--listen", "0", "--allow", "192.0.2.0/24"), "bridge") as door:
         port = int(door.name.rpartition(":")[2])
         for _ in range(2):

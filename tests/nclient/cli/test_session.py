@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from nclient.backends.nserver import NserverBackend
-from nclient.cli.shell_help import BUILTINS
-from nclient.cli.shell_session import Session
+from nclient.cli.shell_session import BUILTINS, Session
 from nclient.connector import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.cli import shell_help, state_text
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.cli import shell_session, state_text
+from nclient.protocol.types import N150, serial_wire_state, tcp_wire_state
 
 TCP = tcp_wire_state(N150)
 
 
 def words(text: str) -> list[str]:
-    return [candidate.word for candidate in shell_help.candidates(text, TCP)]
+    return [candidate.word for candidate in shell_session.candidates(text, TCP)]
 
 
 @pytest.mark.parametrize(("text", "found"), [
@@ -38,12 +37,12 @@ def test_parts_of_the_state_are_offered_once() -> None:
 
 
 def test_each_comes_with_what_it_is_for() -> None:
-    (candidate,) = shell_help.candidates("get_sn", TCP)
+    (candidate,) = shell_session.candidates("get_sn", TCP)
     assert candidate.about == "ask for the sonars"
 
 
 def test_only_what_this_robot_has() -> None:
-    on_line = [candidate.word for candidate in shell_help.candidates("", serial_wire_state(N150))]
+    on_line = [candidate.word for candidate in shell_session.candidates("", serial_wire_state(N150))]
     assert "conf_ser" in on_line
     assert "conf_ser" not in words("")
     assert "sim_truth" not in on_line
@@ -54,4 +53,4 @@ def test_only_what_this_robot_has() -> None:
     ("st; conf_sn(15, ", "conf_sn rate order[16]"), ("sleep ", "sleep SECONDS"), ("", ""), ("zzz 1", ""),
 ])
 def test_a_hint_is_the_usage_of_what_is_typed(text: str, reported: str) -> None:
-    assert shell_help.hint(text) == reported
+    assert shell_session.hint(text) == reported

@@ -15,8 +15,7 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
 from nclient.cli.shell_prompt import CommandCompleter, PromptReader
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import WireState, tcp_wire_state
+from nclient.protocol.types import N150, WireState, tcp_wire_state
 
 
 def wire_state() -> WireState:

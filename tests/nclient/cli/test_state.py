@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from nclient.cli import main, state
+from nclient.cli import main, robot
 from tests.nclient.scripted_server import ScriptedServer, robot_on
 
 
@@ -48,7 +48,7 @@ def test_every_and_count_imply_watch(
     monkeypatch.setattr("time.sleep", slept.append)
     assert main.main(["state", "sim:thesis_room", "clock", *words]) == 0
     assert capsys.readouterr().out.count("clock") == looks
-    assert slept == [0.0 if "--every" in words else state.EVERY_S] * (looks - 1)
+    assert slept == [0.0 if "--every" in words else robot.EVERY_S] * (looks - 1)
 
 
 @pytest.mark.long
@@ -96,7 +96,7 @@ def test_on_a_terminal_it_stays_in_its_place(
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     slept: list[float] = []
     server = ScriptedServer()
-    state.watch(robot_on(server), ["error"], 2, 0.5, as_json=False, sleep=slept.append)
+    robot.watch(robot_on(server), ["error"], 2, 0.5, as_json=False, sleep=slept.append)
     assert capsys.readouterr().out == "\x1b[H\x1b[Jerror       none\n" * 2
     assert slept == [0.5]
     assert server.names() == ["gs", "gs"]

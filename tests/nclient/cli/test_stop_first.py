@@ -7,7 +7,7 @@ import pytest
 from nclient.backends.base import Backend
 from nclient.backends.direct import DirectBackend
 from nclient.cli import main
-from nclient.cli.stop import RobotStopper, StopFirstConnector
+from nclient.cli.robot import RobotStopper, StopFirstConnector
 from nclient.errors import ReplyTimeout
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model

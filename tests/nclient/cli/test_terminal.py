@@ -11,8 +11,7 @@ import pytest
 from nclient.cli import shell
 from nclient.cli.shell import PlainReader, default_history, open_reader
 from nclient.cli.shell_prompt import PromptReader
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import WireState, tcp_wire_state
+from nclient.protocol.types import N150, WireState, tcp_wire_state
 
 
 def wire_state() -> WireState:

@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from nclient.common.allowlist import Allowlist, add_options, allowlist_from_options, is_loopback, warning
+from nclient.transports.listener import Allowlist, add_options, allowlist_from_options, is_loopback, warning
 
 
 def parsed(*words: str) -> Allowlist:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nclient.common.hints import closest_match, suggest
+from nclient.common.arguments import closest_match, suggest
 
 KNOWN = ("points_in", "corners_in")
 

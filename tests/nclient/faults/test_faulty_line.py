@@ -5,16 +5,23 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.frames import LINE_NAK, Delivery, Injector, Language, LineLanguage, TcpLanguage
-from nclient.faults.inject import DelayQueue, FaultyLine
+from nclient.faults.inject import (
+    LINE_NAK,
+    DelayQueue,
+    Delivery,
+    FaultyLine,
+    Injector,
+    Language,
+    LineLanguage,
+    TcpLanguage,
+)
 from nclient.faults.plan import Delay, Direction, Drop, DropByte, Fault, Nak, Plan, Rule, When
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import N150, serial_wire_state, tcp_wire_state
 
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
 

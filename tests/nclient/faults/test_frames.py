@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.frames import Frames, LineFrames, StreamPiece, TcpFrames
+from nclient.faults.inject import Frames, LineFrames, StreamPiece, TcpFrames
 from nclient.protocol import codec
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
 from tests.nclient.protocol.strategies import cuts, in_pieces

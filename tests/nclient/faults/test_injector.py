@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.frames import LINE_NAK, Delivery, Injector, total
+from nclient.faults.inject import LINE_NAK, Delivery, Injector, total
 from nclient.faults.plan import (
     BIT,
     BOTH,

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.faults.frames import LINE_NAK, Injector, LineLanguage
-from nclient.faults.inject import MAX_SLEEP_S, FaultyLine, FaultyStream
+from nclient.faults.inject import LINE_NAK, MAX_SLEEP_S, FaultyLine, FaultyStream, Injector, LineLanguage
 from nclient.faults.plan import Blackout, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
 from nclient.transports.stream import Deadline

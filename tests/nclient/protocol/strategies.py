@@ -13,8 +13,18 @@ from hypothesis import strategies as st
 
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, INFRARED_KEYS, MODELS, SONAR_KEYS, Mask, Model, Stamp
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import (
+    EVERYTHING,
+    INFRARED_KEYS,
+    MODELS,
+    SONAR_KEYS,
+    Mask,
+    Model,
+    Stamp,
+    WireState,
+    serial_wire_state,
+    tcp_wire_state,
+)
 
 ALL_STAMPS = (*INFRARED_KEYS, *SONAR_KEYS, "bumper", "laser", "compass")
 TCP_ROWS = tuple(row for row in COMMANDS if row.tcp_type is not None)

@@ -9,8 +9,7 @@ from nclient.errors import WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import clamp_to_serial, describe_serial_overflow, serial_argument_bounds
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.types import N150, N200
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, N200, serial_wire_state
 
 BOUNDED = [row for row in COMMANDS if row.line_type is not None and serial_argument_bounds(row.name)]
 

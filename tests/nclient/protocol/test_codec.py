@@ -13,8 +13,7 @@ from nclient.protocol import codec, serial_framing
 from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
-from nclient.protocol.types import MODELS, N150, N200, Mask, Model
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import MODELS, N150, N200, Mask, Model, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 quick = settings(max_examples=8)

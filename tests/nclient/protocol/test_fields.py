@@ -11,7 +11,7 @@ from hypothesis import given, settings
 
 from nclient.errors import WireError
 from nclient.protocol import codec
-from nclient.protocol.fields import (
+from nclient.protocol.layouts import (
     BYTES,
     LINE_LONG,
     LINE_SIGNED,
@@ -22,8 +22,21 @@ from nclient.protocol.fields import (
     LineStamps,
 )
 from nclient.protocol.replies import Reply, TcpLayout
-from nclient.protocol.types import EVERYTHING, LASER_SLOT, N150, N200, NO_STAMP, SCOUT, Mask, Model, Position, Stamp
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import (
+    EVERYTHING,
+    LASER_SLOT,
+    N150,
+    N200,
+    NO_STAMP,
+    SCOUT,
+    Mask,
+    Model,
+    Position,
+    Stamp,
+    WireState,
+    serial_wire_state,
+    tcp_wire_state,
+)
 from tests.nclient.protocol.strategies import masks, signed16, word
 
 STAMP = Stamp(-1, 2, -3, 4, -5, 6, -7, 2**32 - 1, 9)

@@ -6,8 +6,7 @@ import pytest
 
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.types import MODELS, N150, N200, SCOUT, Model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import MODELS, N150, N200, SCOUT, Model, serial_wire_state
 
 
 def packet(

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from nclient.errors import WireError
 from nclient.protocol.client_state import HANDSHAKE_SIZE, Handshake, apply_handshake, build_handshake, read_handshake
-from nclient.protocol.types import N200, Mask
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N200, Mask, serial_wire_state
 from tests.nclient.protocol.strategies import line_masks
 
 

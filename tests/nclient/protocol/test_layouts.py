@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol import codec, requests, serial_framing
+from nclient.protocol import codec, layouts, serial_framing
 from nclient.protocol.client_state import Handshake, build_handshake, read_handshake
 from nclient.protocol.commands import Command
 from nclient.protocol.replies import STATE, Reply
-from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, Model, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 few = settings(max_examples=3)
@@ -93,5 +92,5 @@ def test_bytes_that_are_no_request() -> None:
 def test_it_says_what_construct_says(layout: Construct) -> None:
     data = bytes(range(layout.sizeof()))
     value = layout.parse(data)
-    assert requests.parse(layout, data) == value
-    assert requests.build(layout, value) == layout.build(value) == data
+    assert layouts.parse(layout, data) == value
+    assert layouts.build(layout, value) == layout.build(value) == data

@@ -14,8 +14,7 @@ from nclient.protocol import replies as shape
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, REPLY_TYPES, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame
-from nclient.protocol.types import MODELS, N150, N200, NO_STAMP, Model
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import MODELS, N150, N200, NO_STAMP, Model, WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import (
     ALL_STAMPS,
     FULL,

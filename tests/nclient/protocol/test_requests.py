@@ -15,8 +15,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import SerialFrame
-from nclient.protocol.types import N150, N200, SCOUT
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, N200, SCOUT, serial_wire_state
 
 
 def tcp(name: str, *args: Any) -> bytes:

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol.requests import MAX_PACKET_DATA
-from nclient.protocol.ring_packet import pack_ring, parse_ring
+from nclient.protocol.client_state import pack_ring, parse_ring
+from nclient.protocol.layouts import MAX_PACKET_DATA
 from worlds.rings import MAX_SONARS
 
 

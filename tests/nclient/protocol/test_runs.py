@@ -7,7 +7,7 @@ from construct import Int8ub, Int16ul, Int32ul
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.protocol.fields import BYTES, LINE_LONG, LINE_SIGNED, LONGS, SHORTS, SIGNED_LONGS, SIGNED_SHORTS, Run
+from nclient.protocol.layouts import BYTES, LINE_LONG, LINE_SIGNED, LONGS, SHORTS, SIGNED_LONGS, SIGNED_SHORTS, Run
 
 KINDS = [(BYTES, Int8ub), (SHORTS, Int16ul), (LONGS, Int32ul), (SIGNED_SHORTS, LINE_SIGNED), (SIGNED_LONGS, LINE_LONG)]
 

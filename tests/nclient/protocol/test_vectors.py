@@ -12,8 +12,16 @@ from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds, request_bo
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, N200, volts
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import (
+    CPU_RANGE_V,
+    EVERYTHING,
+    MOTOR_RANGE_V,
+    N200,
+    WireState,
+    serial_wire_state,
+    tcp_wire_state,
+    volts,
+)
 from tests.nclient.protocol.recorded import (
     LINE_SESSIONS,
     LP64,

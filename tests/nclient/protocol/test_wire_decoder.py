@@ -16,8 +16,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.decode import WireDecoder
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
-from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 GS, VM = "> 000f0000", "> 000c000300000064ffffffce00000000"

@@ -6,8 +6,17 @@ import pytest
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.types import EVERYTHING, N150, N200, NO_MASK_MODELS, SCOUT
-from nclient.protocol.wire_state import line_laser_width, serial_wire_state, tcp_laser_width, tcp_wire_state
+from nclient.protocol.types import (
+    EVERYTHING,
+    N150,
+    N200,
+    NO_MASK_MODELS,
+    SCOUT,
+    line_laser_width,
+    serial_wire_state,
+    tcp_laser_width,
+    tcp_wire_state,
+)
 
 
 @pytest.mark.parametrize(("mode", "over_tcp", "on_the_line"), [

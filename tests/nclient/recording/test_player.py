@@ -12,8 +12,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, serial_wire_state, tcp_wire_state
 from nclient.recording.format import Entry, Recording
 from nclient.recording.replayer import LOOSE, STRICT, Player, ReplayPeer, ReplyChunk, RequestKey, load_exchanges
 from nclient.url import parse_address

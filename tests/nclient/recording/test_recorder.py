@@ -13,8 +13,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.decode import WireDecoder
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
-from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, serial_wire_state, tcp_wire_state
 from nclient.recording.format import Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import NULL_RECORDER, FrameDecoder, Recorder, RecordingStream
 from nclient.transports.stream import Deadline, MemoryStream

@@ -15,8 +15,7 @@ from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
-from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, Model, serial_wire_state
 from nclient.recording.format import Recording, read_recording
 from nserver_emu.control.recording import RunHeader, replay
 from nserver_emu.server.config import SimulationConfig, pose_from_text

@@ -16,8 +16,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.types import N150, Model, get_model
-from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import N150, Model, WireState, get_model, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession

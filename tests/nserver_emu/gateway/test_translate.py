@@ -8,8 +8,21 @@ import pytest
 from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, exists_on_serial
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
-from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
+from nclient.protocol.types import (
+    EVERYTHING,
+    LINES,
+    MODELS,
+    N150,
+    N200,
+    PIXELS,
+    POINTS,
+    SCOUT,
+    Mask,
+    Model,
+    Stamp,
+    serial_wire_state,
+    tcp_wire_state,
+)
 from nserver_emu.gateway.real_robot import (
     Link,
     TranslatedCall,

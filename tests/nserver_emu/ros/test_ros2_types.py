@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from nclient.recording import ros_messages
-from nclient.recording.ros_types import FieldType, MessageBuilder
+from nclient.recording.ros_messages import FieldType, MessageBuilder
 from nserver_emu.ros import topics
 from nserver_emu.ros.dds import RosTypes, topic_in_dds
 from nserver_emu.ros.options import DISTROS

@@ -8,8 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
-from nclient.protocol.types import Model, get_model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import Model, get_model, serial_wire_state
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.server.server_state import SimulationClock

@@ -43,8 +43,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, ERROR_TYPE, REPLY_TYPES, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150, Mask, get_model
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N150, Mask, get_model, tcp_wire_state
 from nserver_emu.control.commands import answer_line
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.connection import TcpConnection

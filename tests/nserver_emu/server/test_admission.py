@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from nclient.common.allowlist import Allowlist
+from nclient.transports.listener import Allowlist
 from nserver_emu import cli
 from nserver_emu.server.admission import ACCEPTS_PER_TURN, listen
 from nserver_emu.server.serial_lines import RobotdConnection, robot_line
@@ -22,7 +22,7 @@ async def test_a_rejected_connection_is_closed_at_once(monkeypatch: pytest.Monke
     async with running_server() as server:
         inside = await server.connect_client()
         with monkeypatch.context() as patched:
-            patched.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
+            patched.setattr("nclient.transports.listener.is_loopback", lambda _host: False)
             server.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             outsider = await server.open_client(of="127.0.0.2")
             assert await outsider.reader.read() == b""

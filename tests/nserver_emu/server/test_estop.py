@@ -8,11 +8,10 @@ import pytest
 
 from docs.generate.commands import examples
 from nclient.errors import HELD
+from nclient.protocol.client_state import READ, RING_PACKET
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply, text_of
-from nclient.protocol.ring_packet import READ, RING_PACKET
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import N150, serial_wire_state
 from nserver_emu.server.estop import EStop, moves
 from nserver_emu.server.handlers.table import HANDLERS, Emulator
 from nserver_emu.server.session import ConnectionContext, error_reply

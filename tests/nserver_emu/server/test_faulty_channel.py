@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.faults.frames import LINE_NAK, Injector, LineLanguage, TcpLanguage
+from nclient.faults.inject import LINE_NAK, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import BOTH, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
 from nserver_emu.server.serial_session import MAX_IN_TRANSIT, Arrival, FaultyChannel, RateLimitedChannel

@@ -7,8 +7,7 @@ import pytest
 from nclient.errors import AddressError
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.types import EVERYTHING, N150, N200, Model
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, N150, N200, Model, serial_wire_state
 from nserver_emu.server.inprocess import InProcess, InProcessLine, open_address
 from tests.nserver_emu.server.line_host import LineHost
 from tests.nserver_emu.server.wire_client import WireClient

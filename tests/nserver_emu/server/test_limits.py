@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.allowlist import Allowlist
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
+from nclient.transports.listener import Allowlist
 from nserver_emu import cli
 from nserver_emu.logs import MAX_REPEATS, RepeatLimiter
 from nserver_emu.server.admission import TABLE, AdmissionControl, Limits, add_options, limits_of

@@ -14,8 +14,18 @@ from nclient.protocol.client_state import apply_handshake, read_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, parse_single_frame
-from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, N150, N200, Mask, Position, volts
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import (
+    CPU_RANGE_V,
+    EVERYTHING,
+    MODELS,
+    MOTOR_RANGE_V,
+    N150,
+    N200,
+    Mask,
+    Position,
+    serial_wire_state,
+    volts,
+)
 from nserver_emu.server.serial_session import FRAME_TIMEOUT_S, SerialSession
 from nserver_emu.server.server_state import SimulationClock
 from nserver_emu.server.session import ConnectionContext

@@ -20,8 +20,7 @@ from nclient.protocol.client_state import read_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
-from nclient.protocol.types import EVERYTHING, MODELS, Mask
-from nclient.protocol.wire_state import serial_wire_state
+from nclient.protocol.types import EVERYTHING, MODELS, Mask, serial_wire_state
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.pty import PseudoTerminal

@@ -8,8 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_wire_state
+from nclient.protocol.types import N150, tcp_wire_state
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import N150 as SIMULATED_N150

@@ -7,7 +7,7 @@ import pytest
 
 from nserver_emu.simulation.noise import Purpose, RngFactory
 
-batch_random = pytest.importorskip("nserver_emu.simulation.batch_random", exc_type=ImportError)
+batch_random = pytest.importorskip("nserver_emu.simulation.batch_kernel", exc_type=ImportError)
 
 
 @pytest.mark.parametrize("factory", [RngFactory(1, 0), RngFactory(9999, 123456789)])

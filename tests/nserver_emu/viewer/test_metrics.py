@@ -88,7 +88,7 @@ async def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.M
             assert answer.status == 200
         async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
             assert answer.status == 403
-        monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
+        monkeypatch.setattr("nclient.transports.listener.is_loopback", lambda _host: False)
         async with here.web.get(here.origin + path) as answer:
             # From this machine by its own address.
             assert answer.status == 200

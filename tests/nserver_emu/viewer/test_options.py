@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.allowlist import ListenAddress
+from nclient.transports.listener import ListenAddress
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator

@@ -11,8 +11,8 @@ import zlib
 import aiohttp
 import pytest
 
-from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
+from nclient.transports.listener import Allowlist
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.runtime_settings import read_world_file
@@ -371,7 +371,7 @@ async def test_a_failed_websocket_handshake_frees_its_place() -> None:
 
 
 async def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
+    monkeypatch.setattr("nclient.transports.listener.is_loopback", lambda _host: False)
 
     async with serve_viewer(an_emulator()) as here, elsewhere() as outsider:
         here.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))

@@ -9,8 +9,7 @@ import pytest
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.types import N150, N200, Model
-from nclient.protocol.wire_state import WireState, serial_wire_state
+from nclient.protocol.types import N150, N200, Model, WireState, serial_wire_state
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, TCP, ConnectionRecorder, Decoded
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session

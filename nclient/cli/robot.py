@@ -1,19 +1,10 @@
-"""Stop a robot and wait until it stands still, also over a noisy line.
-
-    nomad stop nserver://lab:7019/2
-    nomad stop "serial:///dev/ttyUSB0?model=n150" --patience 30
-
-Prints how often st was sent, and the robot's position. Exit code 0: the robot was seen to stand still; 1: it still
-moves, does not reply, or replies to st and cannot be understood, usually because the address has the wrong model.
-
-Rules: only st and gs are sent; no setting is changed except a N200's mask. On a serial line st is sent first, handshake
-and mask follow its reply. Errors are retried and lost connections reopened until the time is over; only an invalid
-address ends the command at once.
-"""
+"""The commands on one robot: show its state, stop it."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,18 +13,108 @@ from functools import partial
 
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
+from nclient.cli import state_text
 from nclient.cli.serving import print_message
-from nclient.common.arguments import add_address, add_value, seconds
+from nclient.common.arguments import add_address, add_flag, add_value, seconds, whole_number
 from nclient.common.process import ExitCode
 from nclient.connector import Connector, address_or_default
-from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
+from nclient.errors import AddressError, ConnectionLost, NomadError, ReplyTimeout, RobotRefused, ShellError, WireError
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
 from nclient.state import RobotState
 from nclient.transports.stream import ByteStream
-from nclient.url import parse_address
+from nclient.url import available_schemes, is_port_name, parse_address
+
+EVERY_S = 1.0
+_HOME_AND_CLEAR = "\x1b[H\x1b[J"
+
+
+class StateCommand:
+    """Show a robot's state with units, once or repeatedly.
+
+        nomad state nserver://localhost:7019/1           the whole state
+        nomad state sim:thesis_room sonar pose           parts: pose velocity motors sonar infrared bumpers compass ...
+        nomad state --every 0.5                          twice a second, until Ctrl-C
+        nomad state --count 3 clock                      three times, at intervals of a second
+        nomad state --watch --json | jq .x_in              one JSON object per line
+
+    Rules: sends gs only, and on sim: what lets its time pass. No motion timeout is set and no keep-alive sent, so
+    that a robot driven by another program continues.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        parser.add_argument(
+            "words",
+            nargs="*",
+            metavar="ADDRESS | PART",
+            help=f"address of the robot (default: $NOMAD_ROBOT, or a local Nserver), and parts of the state: "
+            f"{', '.join(state_text.PARTS)} (default: all)",
+        )
+        add_flag(parser, "--watch", "repeat until Ctrl-C; implied by --every and --count")
+        add_value(parser, "--every", "S", seconds, f"repeat at intervals of S seconds (default: {EVERY_S:g})")
+        add_value(parser, "--count", "N", whole_number("the number of times", 1), "repeat N times")
+        add_flag(parser, "--json", "print one JSON object per line, with all parts")
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Show the state, and return the exit code."""
+        address, parts = _sorted_words(options.words)
+        connector = Connector(parse_address(address_or_default(address)))
+        is_in_process = connector.address.in_process
+        robot = Robot(connector.open_session(), lockstep=is_in_process)
+        watching = options.watch or options.every is not None or options.count is not None
+        every_s = EVERY_S if options.every is None else options.every
+
+        def sleep(seconds: float) -> None:
+            # A simulation in this process has no time of its own.
+            if is_in_process:
+                robot.sleep(seconds)
+            time.sleep(seconds)
+
+        try:
+            watch(robot, parts, options.count if watching else 1, every_s, as_json=options.json, sleep=sleep)
+        except KeyboardInterrupt:
+            # The usual end of --watch.
+            return ExitCode.DONE
+        finally:
+            robot.disconnect()
+        return ExitCode.DONE
+
+
+def watch(
+    robot: Robot, parts: list[str], looks: int | None, every_s: float, *, as_json: bool, sleep: Callable[[float], None]
+) -> None:
+    """Show the state `looks` times, forever if None; on a terminal each time in the same place."""
+    in_place = sys.stdout.isatty() and looks != 1 and not as_json
+    looked = 0
+    while looks is None or looked < looks:
+        if looked:
+            sleep(every_s)
+        looked += 1
+        state = robot.refresh()
+        if as_json:
+            print(json.dumps(state_text.as_json(state)), flush=True)
+        else:
+            print(_HOME_AND_CLEAR * in_place + "\n".join(state_text.format_parts(state, parts)), flush=True)
+
+
+def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
+    """Separate the address, which has a colon, from the parts. Raises AddressError for any other word."""
+    addresses = [word for word in words if ":" in word or is_port_name(word)]
+    parts = [word for word in words if word not in addresses]
+    if len(addresses) > 1:
+        raise AddressError(f"one robot at a time, not {' and '.join(addresses)}")
+    try:
+        state_text.check_parts(parts)
+    except ShellError as error:
+        schemes = ", ".join(f"{scheme}:" for scheme in available_schemes())
+        raise AddressError(f"{error}; an address begins with one of {schemes}") from None
+    return (addresses[0] if addresses else None), parts
+
 
 # Time limit without --patience, seconds: enough for several reconnects.
 DEFAULT_PATIENCE_S = 10.0
@@ -43,20 +124,36 @@ _QUERIES = 20
 """Number of queries before st is sent again."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    add_address(parser)
-    add_value(parser, "--patience", "S", seconds,
-              f"try for S seconds (default: {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
+class StopCommand:
+    """Stop a robot and wait until it stands still, also over a noisy line.
 
+        nomad stop nserver://lab:7019/2
+        nomad stop "serial:///dev/ttyUSB0?model=n150" --patience 30
 
-def run(options: argparse.Namespace) -> int:
-    """Stop the robot, and return the exit code."""
-    connector = Connector(parse_address(address_or_default(options.address)))
-    if options.address is None:
-        print_message(f"stopping {connector.address.text}")
-    connect = connector.open_session if connector.wire == TCP else _stop_first_connector(connector)
-    return RobotStopper(connect, time.monotonic, time.sleep).run(options.patience)
+    Prints how often st was sent, and the robot's position. Exit code 0: the robot was seen to stand still; 1: it
+    still moves, does not reply, or replies to st and cannot be understood, usually because the address has the wrong
+    model.
+
+    Rules: only st and gs are sent; no setting is changed except a N200's mask. On a serial line st is sent first,
+    handshake and mask follow its reply. Errors are retried and lost connections reopened until the time is over; only
+    an invalid address ends the command at once.
+    """
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        add_address(parser)
+        add_value(parser, "--patience", "S", seconds,
+                  f"try for S seconds (default: {DEFAULT_PATIENCE_S:g})", DEFAULT_PATIENCE_S)
+
+    @staticmethod
+    def run(options: argparse.Namespace) -> int:
+        """Stop the robot, and return the exit code."""
+        connector = Connector(parse_address(address_or_default(options.address)))
+        if options.address is None:
+            print_message(f"stopping {connector.address.text}")
+        connect = connector.open_session if connector.wire == TCP else _stop_first_connector(connector)
+        return RobotStopper(connect, time.monotonic, time.sleep).run(options.patience)
 
 
 def _stop_first_connector(connector: Connector) -> StopFirstConnector:
