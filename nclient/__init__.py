@@ -61,8 +61,7 @@ _MODULES = {
     "backends.base": ("LinkStatistics",),
     "connector": ("connect", "connect_async"),
     "robot": ("Robot",),
-    "state": ("Battery", "Pose", "RobotState", "Truth"),
-    "units": ("AxisCommand", "AxisMode"),
+    "state": ("AxisCommand", "AxisMode", "Battery", "Pose", "RobotState", "Truth"),
 }
 """Where the names are defined; those that are in no row are in `errors`."""
 
