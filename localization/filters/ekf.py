@@ -275,11 +275,10 @@ class KalmanFilter:
         """Predict to the instant of each echo and update; see `process_each`."""
         if not echoes:
             return []
-        if self._headings:
-            self._headings.add(poses, echoes)
         if not self._direct:
             results = process_each(self, encoders, poses, echoes)
-            self._check_heading()
+            if self._headings:
+                self._check_heading(poses, echoes)
             return results
         noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
@@ -298,7 +297,8 @@ class KalmanFilter:
         if len(slips):
             self._monitor.slip.count_readings(len(informative))
         self._check_slip()
-        self._check_heading()
+        if self._headings:
+            self._check_heading(poses, echoes)
         # 4. The outcomes of all echoes.
         if len(ranges) == len(echoes):
             return results
@@ -341,9 +341,11 @@ class KalmanFilter:
         if slip_in is not None:
             widen_by_slip(self._x, self._P, slip_in)
 
-    def _check_heading(self) -> None:
+    def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> None:
         """Correct the heading, and the state with it, if many readings are outliers that agree on another heading."""
-        if self._headings is None or self._correlated.outlier_fraction < MIN_OUTLIERS:
+        assert self._headings is not None
+        self._headings.add(poses, echoes)
+        if self._correlated.outlier_fraction < MIN_OUTLIERS:
             return
         x, P = self._x, self._P
         turn_rad, evidence_nats = self._headings.correction(x, P)

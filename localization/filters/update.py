@@ -628,6 +628,7 @@ class CorrelatedReadings:
     def __init__(self, sonars: int = MAX_SONARS, *, as_array: bool = False) -> None:
         rows = [[0.0] * 4 for _ in range(sonars + 1)]
         self.used: Used = np.array(rows) if as_array else rows
+        self._so_far: Sequence[float] | Floats = self.used[-1]
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the encoders."""
@@ -640,7 +641,7 @@ class CorrelatedReadings:
     @property
     def outlier_fraction(self) -> float:
         """The recent fraction of outliers among ranges."""
-        return float(self.used[-1][OUTLIERS])
+        return float(self._so_far[OUTLIERS])
 
     def count_outlier(self, outlier_probability: float) -> None:
         """Take note of a range that was an outlier with this probability."""
