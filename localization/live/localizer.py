@@ -415,7 +415,7 @@ class Localizer:
             self._instants.append(now.clock_s)
             history.add(now)
         elif now.clock_s > history.latest.clock_s:
-            history.add(now)
+            history.add(now, state.touching)
         (before, latest), is_uneven = history.last_two, history.is_uneven
         if self._disturbable:
             self._disturbable.detects_slips = not is_uneven

@@ -363,11 +363,14 @@ class PoseHistory:
         """The last pose."""
         return self._poses[-1]
 
-    def add(self, pose: EncoderPose) -> None:
-        """Append a pose later than all others; drop those older than HISTORY_S."""
+    def add(self, pose: EncoderPose, touching: bool = False) -> None:
+        """Append a pose later than all others; drop those older than HISTORY_S.
+
+        Wheels of a robot that touches something stand and slip by turns: this shows nothing of the clock.
+        """
         poses = self._poses
         poses.append(pose)
-        if len(poses) > 2:
+        if len(poses) > 2 and not touching:
             # The mean absolute value of three clocks' error, in these weights, is nearly the deviation of one.
             late_s = abs(clock_error(poses[-3], poses[-2], pose))
             if late_s:

@@ -77,6 +77,16 @@ def test_spread_of_late_clocks_is_estimated(late_s: float, is_uneven: bool) -> N
         assert history.clock_late_s == history.clock_rms_s == 0.0
 
 
+@pytest.mark.parametrize("touching", [True, False])
+def test_wheels_that_slip_at_a_wall_show_nothing_of_the_clock(touching: bool) -> None:
+    """A robot at a wall stands; every 10 s its wheels slip by 3 in, half an inch in a period."""
+    history, x_in = PoseHistory(), 0.0
+    for number in range(1000):
+        x_in += 0.5 if number % 100 < 6 else 0.0
+        history.add(encoders(0.1 * number, np.array([x_in, 0.0, 0.0])), touching)
+    assert history.is_uneven is not touching
+
+
 def test_nearly_equal_clocks_are_no_great_speed() -> None:
     """A robot at 5 in/s, states every 0.1 s, clocks late by up to 0.1 s: the lag is at most that of its speed."""
     std_s = 0.1 / np.sqrt(3.0)
