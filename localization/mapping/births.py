@@ -87,7 +87,8 @@ def find_births(estimate: MapEstimate, first_node: int) -> int:
     echoes = echoes[estimate.assignment.feature[echoes] == NO_FEATURE]
     free = _free_echoes(estimate, echoes)
     born = 0
-    for vote in (_wall_peak, _point_peak):
+    # Exact rays meet no points: those that a short part of a wall explains as well would take its rays.
+    for vote in (_wall_peak, _point_peak) if not free.rays else (_wall_peak,):
         left = np.ones(len(free), dtype=np.bool_)
         for _ in range(MAX_CANDIDATES):
             # 1. The highest peak of the echoes not used yet.
@@ -227,6 +228,9 @@ def _decide(free: FreeEchoes, feature: Floats, is_wall: bool) -> tuple[Fit | Non
         predicted = _predict(free, feature, is_wall)
         near = np.abs(free.sensors.range_in - predicted.range_in) < SUPPORT_IN
         return None, is_wall, near & (np.abs(wrap_angle(predicted.bearing - free.sensors.axis)) < HALF_CONE_RAD)
+    if free.rays:
+        is_known = first.supports.sum() >= MIN_VOTES and first.base_in >= MIN_BASE_IN
+        return first if is_known else None, True, first.supports
     spots = _spots(free, first, is_wall)
     if is_wall:
         other = _fit(free, np.median(spots[first.supports], axis=0), False)

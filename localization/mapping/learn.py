@@ -302,8 +302,9 @@ def swallow(estimate: MapEstimate) -> int:
         trial.remove(wall)
         trial.associate()
         without = trial.copy()
-        # With a point in its place, and without.
-        trial.add_point(segment.reshape(2, 2).mean(axis=0))
+        # With a point in its place, which no ray meets, and without.
+        if not estimate.problem.rays:
+            trial.add_point(segment.reshape(2, 2).mean(axis=0))
         for candidate in (trial, without):
             candidate.associate()
             candidate.optimize(3)

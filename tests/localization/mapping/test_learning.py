@@ -111,6 +111,8 @@ def test_line_along_parts_of_two_walls_becomes_both() -> None:
     heights = right.state.walls[:, 1] * np.sin(right.state.walls[:, 0])
     fronts = np.flatnonzero((heights > -18.5) & (heights < -11.0)).tolist()
     np.testing.assert_allclose(np.sort(right.state.walls[fronts, 1]), (13.0, 17.0), atol=0.5)
+    # Their corners reflect no ray.
+    assert not len(right.state.points)
     # 1. One line along both is 4 in off over 60 in.
     wrong = _merged(right, fronts[0], fronts[1])
     assert abs(np.degrees(wrong.state.walls[-1, 0]) + 90.0) > 2.0
