@@ -26,7 +26,7 @@ choice of the echoes.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians
+from math import log, radians
 from typing import Final
 
 import numpy as np
@@ -74,6 +74,8 @@ ONE_SIDED: Final = 0.9
 """Fraction of a face's echoes that are from its side of the wall."""
 MIN_THICKNESS_IN: Final = 2.0
 """Two faces of a wall are at least this far apart; nearer lines may be the same face, by the odometry's drift."""
+CHOICE_COST: Final = 2.0 * log(2.0)
+"""Twice the negative logarithm of the probability of one of two walls."""
 MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
 SWALLOW_IN: Final = 40.0
@@ -471,9 +473,16 @@ def _are_faces(estimate: MapEstimate, one: int, other: int) -> bool:
 
 
 def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
-    """Merge two walls if the total cost falls; return True if it did."""
+    """Merge two walls if the total cost falls; return True if it did.
+
+    Each echo takes the nearer one of two lines, which explain noise better than a single one does. So one that either
+    may explain costs CHOICE_COST more: it is of one of two equally probable components of a mixture.
+    """
     trial = _merged(estimate, remaining, removed)
-    if trial.cost >= estimate.cost:
+    echoes = np.concatenate((estimate.echoes_of(remaining), estimate.echoes_of(removed)))
+    residual, _, _ = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+    choices = int(np.isfinite(residual[:, [remaining, removed]]).all(axis=1).sum())
+    if trial.cost >= estimate.cost + CHOICE_COST * choices:
         return False
     estimate.replace_by(trial)
     return True

@@ -14,7 +14,7 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
-from localization.mapping.learn import _merged, learn_map, split
+from localization.mapping.learn import _merged, learn_map, merge, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE
@@ -120,6 +120,26 @@ def test_line_along_parts_of_two_walls_becomes_both() -> None:
     assert split(wrong) == 1
     np.testing.assert_allclose(np.sort(wrong.state.walls[:, 1]), np.sort(right.state.walls[:, 1]), atol=0.05)
     assert split(right) == 0
+
+
+def test_two_lines_that_share_the_noise_of_one_wall_become_one() -> None:
+    found = learn_map(drive(0, rays=True), NOISE, ConeSonar(), rays=True)
+    wall = int((found.extents[:, 1] - found.extents[:, 0]).argmax())
+    angle, offset = found.state.walls[wall]
+    # 1. A second line that crosses the wall at its middle at 1 degree, and takes a third of its echoes.
+    along = np.array((-np.sin(angle), np.cos(angle)))
+    middle = np.array((np.cos(angle), np.sin(angle))) * offset + along * found.extents[wall].mean()
+    other = angle + np.radians(1.0)
+    double = found.copy()
+    double.add_wall(np.array((other, middle @ (np.cos(other), np.sin(other)))), found.extents[wall])
+    for _ in range(3):
+        double.associate()
+        double.optimize(5)
+    # 2. Both together cost less than the wall, as each echo takes the line that its noise suits.
+    assert len(double.echoes_of(len(double.state.walls) - 1)) > 50
+    assert double.cost < found.cost
+    assert merge(double) == 1
+    np.testing.assert_allclose(np.sort(double.state.walls[:, 1]), np.sort(found.state.walls[:, 1]), atol=0.05)
 
 
 def test_corners_of_a_closed_room_are_closed(room: LearnedMap) -> None:
