@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-# As in typing, whose import takes longer than all others before a command handles signals (common/start.py).
+# As in typing, whose import takes longer than all others before a command handles signals (common/__init__.py).
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any

@@ -23,9 +23,8 @@ from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.base import DEFAULT_TIMEOUT_S, MIN_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
-from nclient.common.arguments import suggest
 from nclient.common.files import parse_toml, read_text
-from nclient.errors import AddressError, NomadError
+from nclient.errors import AddressError, NomadError, suggest
 from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import MODELS, N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP

@@ -4,7 +4,7 @@ import signal
 import sys
 from types import FrameType
 
-from nclient.common.start import INTERRUPTED, exit_on_interrupt
+from nclient.common import INTERRUPTED, exit_on_interrupt
 
 
 def main() -> int:

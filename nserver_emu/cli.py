@@ -51,11 +51,10 @@ from nclient.common.arguments import (
     add_version,
     number,
     protect_coordinates,
-    suggest,
     whole_number,
 )
 from nclient.common.process import ExitCode
-from nclient.errors import NomadError, SnapshotError
+from nclient.errors import NomadError, SnapshotError, suggest
 from nclient.recording.format import read_recording
 from nclient.transports import listener
 from nclient.transports.listener import LOOPBACK, allowlist_from_options, warning

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing
+from nclient.errors import ExtraMissing, install_command
 from worlds.geometry import FloatArray
 from worlds.robots import Body
 

@@ -25,9 +25,8 @@ from typing import Annotated, Any, Final
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
-from nclient.errors import WorldFileError
+from nclient.errors import WorldFileError, suggest
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.schema import (
     INCHES_PER_UNIT,

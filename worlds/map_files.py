@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing, MapFileError
+from nclient.errors import ExtraMissing, MapFileError, install_command
 from worlds.cells import MAX_CELLS, Cell, OccupancyGrid, cells_of_world, roomiest_place, walls_of_cells
 from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
 from worlds.schema import MIN_WALL_IN

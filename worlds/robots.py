@@ -26,9 +26,8 @@ from typing import Annotated, Any, Final, TypeVar
 
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
-from nclient.errors import WorldFileError
+from nclient.errors import WorldFileError, suggest
 from nclient.protocol.types import SONAR_RING_IN, SONAR_SLOTS
 from worlds.rings import MAX_SONARS, Ring, RingTable, evenly, nomad_ring
 from worlds.schema import Distance, PositiveAngle, Table, parse_toml, read_text, table

@@ -24,7 +24,8 @@ from localization.cli import arguments
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
 from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model, sonar_model_of_address
-from localization.live.run import GroundTruth, Publisher, read_log, without_echo
+from localization.live.run import GroundTruth, Publisher
+from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner

@@ -20,8 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.arguments import suggest
-from nclient.errors import NomadError
+from nclient.errors import NomadError, suggest
 
 Answer = Callable[..., Any]
 Rng = np.random.Generator

@@ -16,9 +16,9 @@ from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import NO_PICTURES, add_shared, drive, drive_on_cluster, progress, table
 from localization.experiments.figure_trial import FIGURES, Figure, figure_setup, summarize
-from nclient.common.arguments import Parser, suggest
+from nclient.common.arguments import Parser
 from nclient.common.process import ExitCode
-from nclient.errors import NomadError
+from nclient.errors import NomadError, suggest
 from worlds.drawing import require_matplotlib
 
 OUT: Final = Path("out/experiments")

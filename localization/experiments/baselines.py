@@ -13,8 +13,8 @@ from typing import Any, Final, NamedTuple
 
 from localization.experiments import execution
 from localization.experiments.execution import progress
-from nclient.common.arguments import Parser, install_command
-from nclient.errors import ExtraMissing
+from nclient.common.arguments import Parser
+from nclient.errors import ExtraMissing, install_command
 
 
 class Score(NamedTuple):

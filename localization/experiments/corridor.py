@@ -29,7 +29,8 @@ from localization.filters.odometry import process_variance, relative_step, with_
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.filters.sonar_ray import RingBody
-from localization.live.run import LogRow, Run, new_echoes, run_log
+from localization.live.run import Run, run_log
+from localization.live.sensor_input import LogRow, new_echoes
 from localization.plot import check_picture, save
 from nclient.common.arguments import Parser
 from nclient.errors import LogFileError

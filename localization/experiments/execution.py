@@ -40,9 +40,9 @@ from localization.experiments.figure_trial import (
     typical,
 )
 from localization.filters.belief import difference
-from nclient.common.arguments import add_flag, add_value, install_command, whole_number
+from nclient.common.arguments import add_flag, add_value, whole_number
 from nclient.common.files import write_atomic
-from nclient.errors import ExtraMissing, NomadError, OutputFileError
+from nclient.errors import ExtraMissing, NomadError, OutputFileError, install_command
 from worlds import drawing
 from worlds.compiled import is_compiled_for
 from worlds.robots import N150

@@ -28,8 +28,7 @@ from localization.filters.belief import POSE, Belief
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, add_lag, pose_at, predict, relative_step
 from localization.filters.update import GATE, LIMIT, NONE, Outcome, UpdateResult, mount_at, result_of
-from nclient.common.arguments import suggest
-from nclient.errors import NomadError
+from nclient.errors import NomadError, suggest
 
 SEPARATOR: Final = ":"
 """Between module and class; no method of this package has one in its name."""

@@ -34,7 +34,7 @@ from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
 from localization.filters.surface import SurfaceModel, SurfaceUpdate
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
-from nclient.common.arguments import suggest
+from nclient.errors import suggest
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""

@@ -20,9 +20,8 @@ from localization.filters.range_table import sampled_echoes
 from localization.filters.sonar_ray import ranges_from, wall_map
 from localization.live.localizer import Consistency, Echo
 from localization.live.sensor_input import SensorInput
-from nclient.common.arguments import suggest
 from nclient.connector import address_or_default
-from nclient.errors import AddressError, WorldFileError
+from nclient.errors import AddressError, WorldFileError, suggest
 from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN
 from nclient.url import split_address
 from worlds.robots import BODIES, Body, load_bodies

@@ -49,7 +49,7 @@ from localization.mapping.walls import (
 )
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.roadmap import crossings, segment_clearances
-from nclient.common.arguments import install_command
+from nclient.errors import install_command
 from worlds.geometry import nearest_points
 from worlds.map_files import MapsExtraMissing
 

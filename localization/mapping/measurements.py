@@ -31,8 +31,7 @@ from localization.filters.odometry import (
     step_jacobians,
 )
 from localization.filters.sonar_cone import ConeSonar
-from localization.live.run import LogRow, new_echoes
-from localization.live.sensor_input import FiringSchedule, FiringTime
+from localization.live.sensor_input import FiringSchedule, FiringTime, LogRow, new_echoes
 from nclient.errors import LogFileError, RecordingError
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Recording, read_recording

@@ -33,7 +33,7 @@ from typing import Any, Final, NamedTuple
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.health import HealthStatus
-from localization.live.run import Pose
+from localization.live.sensor_input import Pose
 from localization.navigation.control_law import STAND, RecoveryBehavior, VelocityCommand
 from localization.navigation.obstacles import position_std_in
 from localization.navigation.path import (

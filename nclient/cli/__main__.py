@@ -2,7 +2,7 @@
 
 import sys
 
-from nclient.common.start import INTERRUPTED, exit_on_interrupt
+from nclient.common import INTERRUPTED, exit_on_interrupt
 
 
 def main() -> int:

@@ -18,8 +18,9 @@ from typing import Any
 import shtab
 
 from nclient.cli.state_text import PARTS
-from nclient.common.arguments import Parser, entry_points
+from nclient.common.arguments import Parser
 from nclient.common.process import ExitCode
+from nclient.errors import entry_points
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
 from nclient.url import available_schemes

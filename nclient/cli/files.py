@@ -12,9 +12,9 @@ from typing import Any, Final, get_args
 import msgspec
 
 from nclient.cli.serving import print_message
-from nclient.common.arguments import add_flag, entry_points
+from nclient.common.arguments import add_flag
 from nclient.common.process import ExitCode
-from nclient.errors import RecordingError
+from nclient.errors import RecordingError, entry_points
 from nclient.protocol.codec import find_command
 from nclient.protocol.types import MODELS, N150, get_model
 from nclient.recording.format import IN, OUT, Entry, Recording, escape_controls, format_entry, read_recording

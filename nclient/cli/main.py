@@ -20,11 +20,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nclient.common import process
-from nclient.common.arguments import Parser, add_version, closest_match, entry_points, install_hint, protect_coordinates
+from nclient.common import exit_on_interrupt, process
+from nclient.common.arguments import Parser, add_version, protect_coordinates
 from nclient.common.process import ExitCode, TerminatedBySignal, handle_termination_signals, in_short
-from nclient.common.start import exit_on_interrupt
-from nclient.errors import NomadError
+from nclient.errors import NomadError, closest_match, entry_points, install_hint
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -9,8 +9,7 @@ are not stored in the state are formatted by VALUES, or as plain numbers.
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from nclient.common.arguments import suggest
-from nclient.errors import ShellError
+from nclient.errors import ShellError, suggest
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply, text_of
 from nclient.protocol.types import unwrap_word

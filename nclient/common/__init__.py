@@ -1,1 +1,36 @@
-"""Helpers of all packages: files, hints, argument parsing, exit codes, signals, allow lists."""
+"""Helpers of all packages: files, argument parsing, exit codes, signals; Ctrl-C while a command is imported.
+
+The `__main__` modules of the commands import this package before everything else, so it imports nothing slow itself:
+until the block begins, Python answers Ctrl-C by a traceback.
+"""
+
+import contextlib
+import os
+import signal
+from collections.abc import Iterator
+from types import FrameType
+
+INTERRUPTED = 130
+"""ExitCode.INTERRUPTED, whose class takes longer than all that is imported here."""
+
+
+@contextlib.contextmanager
+def exit_on_interrupt() -> Iterator[None]:
+    """Exit at once on SIGINT within this block, in which modules are imported and nothing needs a cleanup.
+
+    An exception in the middle of an import could be swallowed by the module that is being imported. A SIGINT that is
+    ignored, as in the background of a script, stays ignored.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _exit_at_once)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _exit_at_once(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    os._exit(INTERRUPTED)

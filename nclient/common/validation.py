@@ -19,8 +19,8 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
-from nclient.common.arguments import suggest
 from nclient.common.files import ErrorFactory
+from nclient.errors import suggest
 
 T = TypeVar("T")
 

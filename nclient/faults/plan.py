@@ -33,9 +33,8 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common import validation
-from nclient.common.arguments import suggest
 from nclient.common.files import parse_toml, read_text
-from nclient.errors import FaultPlanError
+from nclient.errors import FaultPlanError, suggest
 from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 

@@ -24,8 +24,7 @@ from typing import Any, Final, NamedTuple
 
 from construct import ConstructError
 
-from nclient.common.arguments import suggest
-from nclient.errors import WireError
+from nclient.errors import WireError, suggest
 from nclient.protocol import commands, layouts, serial_framing
 from nclient.protocol import replies as shape
 from nclient.protocol.layouts import (

@@ -34,8 +34,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from typing import NamedTuple
 
-from nclient.common.arguments import suggest
-from nclient.errors import AddressError, WireError
+from nclient.errors import AddressError, WireError, suggest
 
 
 @dataclass(frozen=True, slots=True)

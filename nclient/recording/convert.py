@@ -25,9 +25,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from nclient.common.arguments import install_hint
 from nclient.common.files import write_errors_as
-from nclient.errors import ExtraMissing, RecordingError
+from nclient.errors import ExtraMissing, RecordingError, install_hint
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive, ring_of
 from nclient.recording.format import FORMAT, escape_controls, parse_recording

@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Final, NamedTuple
 
-from nclient.common.arguments import version
-from nclient.errors import RecordingError, WireError
+from nclient.errors import RecordingError, WireError, version
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.commands import BY_NAME, Call

@@ -18,7 +18,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from nclient.common.arguments import version
+from nclient.errors import version
 from nclient.protocol import codec, serial_framing
 from nclient.protocol.client_state import HANDSHAKE_SIZE
 from nclient.protocol.codec import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds

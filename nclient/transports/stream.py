@@ -16,8 +16,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
-from nclient.common.arguments import entry_points
-from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
+from nclient.errors import AddressError, ConnectionLost, ReplyTimeout, entry_points
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

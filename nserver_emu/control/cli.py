@@ -16,9 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from nclient.common.arguments import Parser, add_flag, suggest
+from nclient.common.arguments import Parser, add_flag
 from nclient.common.process import ExitCode
-from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.errors import ConnectionLost, ControlError, NomadError, suggest
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import (
     BY_NAME,

@@ -33,8 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from nclient.common.arguments import suggest, version
-from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.errors import ConnectionLost, ControlError, NomadError, suggest, version
 from nclient.faults.inject import total
 from nclient.faults.plan import MAX_BYTES, load_plan, parse_plan, plan_text
 from nserver_emu.control import snapshot

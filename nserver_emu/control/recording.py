@@ -45,8 +45,8 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from nclient.common.arguments import number, version
-from nclient.errors import NomadError, RecordingError, SnapshotError
+from nclient.common.arguments import number
+from nclient.errors import NomadError, RecordingError, SnapshotError, version
 from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP

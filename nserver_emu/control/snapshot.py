@@ -26,9 +26,8 @@ from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nclient.common.arguments import version
 from nclient.common.files import read_text, write_atomic
-from nclient.errors import SnapshotError
+from nclient.errors import SnapshotError, version
 from nserver_emu.server.admission import SNAPSHOT_BYTES
 from nserver_emu.server.config import MAX_ROBOTS
 from nserver_emu.server.graphics import Graphics, GraphicsState, SpeechLog, Traces, TracesState, Utterance

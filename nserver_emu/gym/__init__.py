@@ -15,8 +15,7 @@ parallel        the interface of PettingZoo
 Observations and actions are in metres, radians and seconds; inside, in inches, as in the simulation.
 """
 
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing
+from nclient.errors import ExtraMissing, install_command
 
 try:
     import gymnasium

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from nclient.common.arguments import suggest
+from nclient.errors import suggest
 from nclient.protocol.types import M_PER_IN
 from nserver_emu.gym.robots import BatchRobots, BoolArray, ConnectedRobot, Robots, Sensed, SimulatedRobots
 from nserver_emu.simulation.models import MODELS, RobotModel

@@ -32,8 +32,7 @@ from cyclonedds.util import duration
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from nclient.common.arguments import install_command
-from nclient.errors import ConnectionLost
+from nclient.errors import ConnectionLost, install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, FieldType, Message, MessageBuilder
 from nserver_emu.ros import topics
 from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, map_message, rings_of

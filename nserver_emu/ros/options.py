@@ -15,8 +15,7 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontext
 from pathlib import Path
 from typing import Final
 
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing, NomadError
+from nclient.errors import ExtraMissing, NomadError, install_command
 from nclient.transports.listener import ListenAddress, listen_address_of, parse_listen_address
 from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon

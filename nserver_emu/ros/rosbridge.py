@@ -30,7 +30,7 @@ from typing import Any, Final
 
 from aiohttp import WSMsgType, web
 
-from nclient.common.arguments import install_command
+from nclient.errors import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
 from nclient.transports.listener import LOOPBACK_NAME, is_loopback
 from nserver_emu.ros import topics

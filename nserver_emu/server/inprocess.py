@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
-from nclient.common.arguments import suggest
-from nclient.errors import AddressError
+from nclient.errors import AddressError, suggest
 from nclient.protocol.types import get_model
 from nclient.url import Parser, RawAddress, flag, number, whole_number
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements

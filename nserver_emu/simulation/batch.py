@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from nclient.common.arguments import install_hint
-from nclient.errors import ExtraMissing, StartError
+from nclient.errors import ExtraMissing, StartError, install_hint
 from nserver_emu.simulation.drive import NO_TRACK
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_model

@@ -37,9 +37,8 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
-from nclient.common.arguments import suggest
 from nclient.common.validation import InvalidValue, Text, convert, given, one_of, reported_as
-from nclient.errors import AddressError, WorldFileError
+from nclient.errors import AddressError, WorldFileError, suggest
 from nserver_emu.simulation.acoustics import Polaroid, SonarErrors
 from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, NO_NOISE, MotionNoise, Odometry

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from worlds import raycast
+import worlds.raycast
 from worlds.compiled import CompiledFunction, is_compiled_for
 from worlds.geometry import NO_DISCS, FloatArray
 from worlds.raycast import nearest_wall, ray_to_disc
@@ -187,7 +187,7 @@ def _example() -> tuple[Any, ...]:
     return 0.0, 0.0, 1.0, 0.0, walls, np.zeros((0, 4)), 0, 1.0
 
 
-NEAREST_OBSTACLE: Final = CompiledFunction(nearest_obstacle, lambda: (raycast, sys.modules[__name__]), _example)
+NEAREST_OBSTACLE: Final = CompiledFunction(nearest_obstacle, lambda: (worlds.raycast, sys.modules[__name__]), _example)
 """`nearest_obstacle`, for read-only walls, where it is compiled; plain, `cast_each` and `nearest_disc` are faster."""
 
 

@@ -25,8 +25,8 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from nclient.common.arguments import suggest
 from nclient.common.process import NOMAD
+from nclient.errors import suggest
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.viewer.http_port import to_loopback

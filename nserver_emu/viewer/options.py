@@ -19,8 +19,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing, NomadError
+from nclient.errors import ExtraMissing, NomadError, install_command
 from nclient.transports.listener import ListenAddress, listen_address_of
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from nclient.common import INTERRUPTED
 from nclient.common.process import ExitCode
-from nclient.common.start import INTERRUPTED
 
 TIMEOUT_S = 60.0
 NOMAD = ("-m", "nclient.cli", "state", "sim:", "--watch")
@@ -61,7 +61,7 @@ def test_little_is_imported_before_sigint_is_handled(main: str) -> None:
     # Until then Python answers SIGINT by a traceback.
     program = f"import sys; import {main}; print(*(name for name in sys.modules if name.startswith('nclient.')))"
     out = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert set(out.split()) - {main} <= {"nclient.common", "nclient.common.start", "nclient.cli"}
+    assert set(out.split()) - {main} <= {"nclient.common", "nclient.cli"}
 
 
 def test_the_exit_code_of_an_interrupt_is_the_documented_one() -> None:
@@ -82,7 +82,7 @@ def test_sigusr1_does_not_end_a_starting_daemon(module: str) -> None:
 
 @pytest.mark.parametrize("words", [NOMAD, NSERVER])
 def test_sigterm_during_imports_ends_the_process(words: tuple[str, ...]) -> None:
-    with starting(words, "nclient.common.start") as process:
+    with starting(words, "nclient.common") as process:
         process.terminate()
         process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == -signal.SIGTERM

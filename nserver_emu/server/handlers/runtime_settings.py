@@ -42,8 +42,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nclient.common.arguments import suggest
-from nclient.errors import ControlError, StartError
+from nclient.errors import ControlError, StartError, suggest
 from nserver_emu.server.handlers.world import MAX_COORDINATE_IN, is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
 from nserver_emu.simulation.multi_robot import Disc

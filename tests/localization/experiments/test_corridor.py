@@ -11,7 +11,7 @@ from localization.experiments import __main__ as experiments
 from localization.experiments import corridor
 from localization.experiments.corridor import Echoes, fit_walls, residual_statistics
 from localization.filters.odometry import OdometryNoise, relative_step
-from localization.live.run import new_echoes
+from localization.live.sensor_input import new_echoes
 from nclient.cli.main import main as nomad
 from nclient.errors import LogFileError
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap

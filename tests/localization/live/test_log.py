@@ -10,7 +10,8 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.registry import make
 from localization.filters.sonar_cone import building_sonar
-from localization.live.run import LogRow, new_echoes, read_log, run_log, without_echo
+from localization.live.run import run_log
+from localization.live.sensor_input import LogRow, new_echoes, read_log, without_echo
 from nclient.errors import LogFileError
 from worlds.rings import Ring
 from worlds.robots import Body

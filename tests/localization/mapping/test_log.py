@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.live.run import LogRow
+from localization.live.sensor_input import LogRow
 from localization.mapping.measurements import drive_of_rows
 from nclient.cli import main
 from nclient.errors import LogFileError

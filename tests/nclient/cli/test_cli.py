@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
-from nclient.common.arguments import install_command
-from nclient.errors import ExtraMissing, StartError
+from nclient.errors import ExtraMissing, StartError, install_command
 
 MODULES = {
     "fine": '"""Does nothing, well.\n\nRules: secret."""\n\n\ndef add_arguments(parser):\n'

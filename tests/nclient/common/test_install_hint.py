@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common import arguments
+from nclient import errors
 
 ROOT = Path(__file__).parents[3]
 
@@ -19,26 +19,26 @@ ROOT = Path(__file__).parents[3]
     ("distributed", "cluster"), ("numba", "fast"), ("ruff", ""), ("numpy", ""), ("no_such_module", ""),
 ])
 def test_each_extra_is_found_by_what_it_brings(module: str, extra: str) -> None:
-    assert arguments.find_extra(module) == extra
+    assert errors.find_extra(module) == extra
 
 
 def test_hint_installs_the_extra_of_a_module(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent))
-    assert arguments.install_hint("shtab") == "pip install -e '.[shell]'"
-    assert arguments.install_hint("no_such_module") == "pip install -e '.[all]'"
+    assert errors.install_hint("shtab") == "pip install -e '.[shell]'"
+    assert errors.install_hint("no_such_module") == "pip install -e '.[all]'"
 
 
 def test_hint_has_paths_where_short_names_do_not_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert shlex.split(arguments.install_command("shell")) == [
+    assert shlex.split(errors.install_command("shell")) == [
         sys.executable, "-m", "pip", "install", "-e", f"{ROOT}[shell]"]
 
 
 def test_hint_of_an_installed_wheel_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(arguments, "_CLONE", tmp_path)
-    assert arguments.install_command("shell") == "pip install -e '.[shell]' in the folder of nomad-nserver"
+    monkeypatch.setattr(errors, "_CLONE", tmp_path)
+    assert errors.install_command("shell") == "pip install -e '.[shell]' in the folder of nomad-nserver"
 
 
 def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,6 +46,6 @@ def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.Monk
         raise metadata.PackageNotFoundError
 
     monkeypatch.setattr(metadata, "requires", missing)
-    assert arguments.find_extra("shtab") == ""
+    assert errors.find_extra("shtab") == ""
     monkeypatch.setattr(metadata, "requires", lambda _: None)
-    assert arguments.find_extra("shtab") == ""
+    assert errors.find_extra("shtab") == ""

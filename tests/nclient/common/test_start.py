@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import pytest
 
 from nclient.cli import __main__ as nomad
+from nclient.common import exit_on_interrupt
 from nclient.common.process import ExitCode
-from nclient.common.start import exit_on_interrupt
 from nserver_emu import __main__ as nserver
 
 

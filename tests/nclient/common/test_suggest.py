@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nclient.common.arguments import closest_match, suggest
+from nclient.errors import closest_match, suggest
 
 KNOWN = ("points_in", "corners_in")
 

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 
-from localization.live.run import read_log
+from localization.live.sensor_input import read_log
 from nclient import connect
 from nclient.cli.main import main
 from nclient.errors import AddressError, ExtraMissing, LogFileError, RecordingError
