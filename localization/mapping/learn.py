@@ -4,7 +4,8 @@
         extend by odometry --> headings after turns --> associate --> optimize
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
-        births from all echoes; join, merge, swallow, absorb, prune; tie points to walls; optimize
+        join what was not recognized; births from all echoes; join, merge, swallow, absorb, prune; tie points to walls;
+        optimize
 
 Revision makes the map as simple as its echoes allow. Each change is tried, optimized and reverted unless the total
 cost, with a penalty for each feature, falls:
@@ -44,6 +45,7 @@ from localization.mapping.association import (
     segments_of,
 )
 from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
+from localization.mapping.loops import close_loops
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
 from localization.mapping.walls import (
@@ -60,6 +62,8 @@ from worlds.geometry import nearest_points_of_pairs
 NODES_PER_ROUND: Final = 16
 WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
+LOOP_WINDOW_NODES: Final = 60
+"""Features that are older by this are tried as new ones of a loop as well: several are needed."""
 LAST_ROUNDS: Final = 3
 LAST_STEPS: Final = 10
 ROUGHNESS_IN: Final = 0.15
@@ -147,6 +151,7 @@ class MapLearner:
 
     def finish(self) -> None:
         """Revise the map with all echoes."""
+        close_loops(self.estimate)
         for _ in range(LAST_ROUNDS):
             if not revise(self.estimate):
                 break
@@ -178,6 +183,9 @@ def update_features(estimate: MapEstimate, first_node: int) -> None:
         estimate.optimize()
     # 2. Revision.
     if merge(estimate) + prune(estimate):
+        estimate.optimize()
+    # 3. Places that were not recognized.
+    if close_loops(estimate, first_node - LOOP_WINDOW_NODES) and merge(estimate) + prune(estimate):
         estimate.optimize()
 
 

@@ -154,7 +154,7 @@ def test_table_counts_closed_loops_and_wrong_maps() -> None:
     ]
     rows = {row[0]: row[2] for row in table(scores)}
     assert rows["loops of 40 m there and back closed"] == "1 of 3"
-    assert rows["loops of 31 m around four pillars closed"] == "1 of 1"
+    assert rows["loops of 34 m around four pillars closed"] == "1 of 1"
     assert rows["corridor: the others written"] == "1"
     assert rows["corridor: closing error, median, worst (in)"] == "7.00, 40.00"
     assert rows["corridor: that of the odometry (in)"] == "60.00, 90.00"

@@ -1,4 +1,4 @@
-"""Long drives: walls that belong together far from where the path bends."""
+"""Long drives: walls that belong together far from where the path bends, and places that were not recognized."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map, merge
-from localization.mapping.measurements import rotate
+from localization.mapping.loops import close_loops
+from localization.mapping.measurements import relative_pose, rotate
 from localization.mapping.problem import MapProblem
-from tests.localization.mapping.drives import drive
+from tests.localization.mapping.drives import LAP, drive
 
 CORRIDOR = ((0.0, 0.0), (400.0, 0.0), (400.0, 80.0), (0.0, 80.0))
 THERE = ((30.0, 40.0), (370.0, 40.0))
@@ -68,3 +69,72 @@ def test_bent_corridor_becomes_straight(corridor: MapEstimate) -> None:
     assert abs(heading_change(broken) - heading_change(corridor)) > 0.6 * BEND_RAD
     assert merge(broken) >= 2
     assert abs(heading_change(broken) - heading_change(corridor)) < 0.01
+
+
+TURNED_RAD, MOVED = 0.1, np.array((9.0, -7.0))
+
+
+@pytest.fixture(scope="module")
+def two_laps() -> MapEstimate:
+    return learn_map(drive(4, points=LAP + LAP[1:]), OdometryNoise(0.8, 0.1, 0.02), ConeSonar())
+
+
+def with_unrecognized_lap(estimate: MapEstimate) -> MapEstimate:
+    """Return the map with odometry that strays in its middle, and with features of its own for the second lap."""
+    found, state = estimate.copy(), estimate.state
+    trajectory, walls = estimate.problem.trajectory, len(state.walls)
+    middle = len(state.poses) // 2
+    # 1. The second lap is moved; the odometry between agrees, over the 10 steps before it.
+    poses = state.poses.copy()
+    for number in range(middle - 9, len(poses)):
+        fraction = min((number - (middle - 10)) / 10.0, 1.0)
+        poses[number, :2] = rotate(state.poses[number, :2], np.array(fraction * TURNED_RAD)) + fraction * MOVED
+        poses[number, 2] += fraction * TURNED_RAD
+    between = slice(middle - 10, middle)
+    steps = trajectory.steps.copy()
+    steps[between] = relative_pose(poses[:-1], poses[1:])[between]
+    # 2. Its features are moved as well.
+    angles = state.walls[:, 0] + TURNED_RAD
+    offsets = state.walls[:, 1] + np.stack((np.cos(angles), np.sin(angles)), axis=-1) @ MOVED
+    extents = estimate.extents + (np.stack((-np.sin(angles), np.cos(angles)), axis=-1) @ MOVED)[:, None]
+    points = rotate(state.points, np.full(len(state.points), TURNED_RAD)) + MOVED
+    feature = estimate.assignment.feature
+    is_second = (feature >= 0) & (trajectory.node >= middle)
+    numbers = np.where(feature < walls, feature, feature + walls)  # points come after both sets of walls
+    moved = np.where(feature < walls, walls, len(state.points))
+    found.problem = MapProblem(replace(trajectory, steps=steps), 16)
+    found.state = replace(
+        state, poses=poses, walls=np.concatenate((state.walls, np.stack((angles, offsets), axis=-1))),
+        points=np.concatenate((state.points, points)),
+    )  # fmt: skip
+    found.extents = np.concatenate((estimate.extents, extents))
+    numbers = np.where(feature < 0, feature, numbers + np.where(is_second, moved, 0))
+    found.assignment = replace(estimate.assignment, feature=numbers, ties=np.empty((0, 2), dtype=np.intp))
+    return found
+
+
+def test_a_lap_that_was_not_recognized_is_joined_with_the_first(two_laps: MapEstimate) -> None:
+    stray = with_unrecognized_lap(two_laps)
+    assert np.hypot(*(stray.state.poses - two_laps.state.poses)[-1, :2]) > 8.0
+    before = stray.cost
+    assert close_loops(stray) >= 4
+    assert stray.cost < before - 100.0
+    # Both laps are where they were, but for what the odometry strays by between them.
+    off = np.hypot(*(stray.state.poses - two_laps.state.poses)[:, :2].T)
+    middle = len(off) // 2
+    assert max(off[: middle - 30].max(), off[middle + 12 :].max()) < 0.6
+    assert len(stray.state.walls) == len(two_laps.state.walls)
+
+
+def test_recognized_laps_stay_as_they_are(two_laps: MapEstimate) -> None:
+    same = two_laps.copy()
+    assert close_loops(same) == 0
+    assert same.cost == two_laps.cost
+
+
+def test_two_places_that_odometry_tells_apart_stay_two(two_laps: MapEstimate) -> None:
+    stray = with_unrecognized_lap(two_laps)
+    # Encoders that are right to a hundredth: the second lap was at another place that looks alike.
+    trajectory = stray.problem.trajectory
+    stray.problem = MapProblem(replace(trajectory, step_info=100.0 * trajectory.step_info), 16)
+    assert close_loops(stray) == 0
