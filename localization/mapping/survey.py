@@ -18,11 +18,11 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from localization.filters.belief import Floats
+from localization.filters.belief import Floats, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds
+from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds, rotate
 from localization.navigation.control_law import (
     STAND,
     AxisLimits,
@@ -36,6 +36,7 @@ from localization.navigation.waypoints import drive_unless_held, stop_on_exit, w
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
+from worlds.geometry import nearest_points
 from worlds.robots import Body
 
 Point = tuple[float, float]
@@ -62,6 +63,10 @@ PASSED_IN: Final = (2.0, 4.0, 6.0)
 GAP_SPACE_IN: Final = 1.2
 KNOWN_IN: Final = 8.0
 """The map must show a wall this near to the body: that is what the sonars cannot measure."""
+SHORT_IN: Final = 6.0
+"""Readings up to this above the lower limit must be of walls of the map as well."""
+NEAR_CONE_RAD: Final = radians(6.0)
+"""Added to the half cone, for the headings of the map and of the last two seconds."""
 MIN_SPEED_IN_S: Final = 0.8
 """A slower speed counts as blocked."""
 BLOCKED_S: Final = 2.2
@@ -102,6 +107,7 @@ class SpeedGuard:
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
         self._sonars = body.ring.count
         self._walls: deque[tuple[float, float, float, float]] = deque()
+        self._places: deque[Floats] = deque()
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
 
@@ -109,12 +115,26 @@ class SpeedGuard:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
         while self._walls and self._walls[0][0] < clock_s - GUARD_S:
             self._walls.popleft()
+            self._places.popleft()
         distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
         self._walls.append((clock_s, axis_rad, distance, reading_in))
+        self._places.append(encoders[:2].copy())
 
     def is_complete(self, clock_s: float) -> bool:
         """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
         return sum(wall[0] >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
+
+    def short_beams(self, encoders: Floats) -> Floats:
+        """Return x, y, axis and range (k, 4) of the short readings, from the sonar, in the frame of an encoder pose."""
+        found = [
+            (place[0] + self._ring_in * cos(axis), place[1] + self._ring_in * sin(axis), axis, reading)
+            for (_, axis, _, reading), place in zip(self._walls, self._places, strict=True)
+            if reading <= self._shortest_in + SHORT_IN
+        ]
+        beams = np.array(found).reshape(-1, 4)
+        beams[:, :2] = rotate(beams[:, :2] - encoders[:2], np.full(len(beams), -float(encoders[2])))
+        beams[:, 2] -= encoders[2]
+        return beams
 
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
@@ -286,14 +306,23 @@ class _Motion:
         is_held = self._leg is None or self._back_off is not None or self._blocked_s < inf
         return None if self._leg is None or is_held else self._leg.goal
 
-    def _fits(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
+    def _fits(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
         """Return True if the map shows space ahead, and what is too near for the sonars."""
         if not mapper.is_sound or not len(mapper.walls):
             return False
         along = np.array((cos(direction_rad), sin(direction_rad)))
         places = pose[:2] + np.outer((0.0, *PASSED_IN), along)
         here, *ahead = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
-        return bool(here < KNOWN_IN and min(ahead) > GAP_SPACE_IN)
+        if here >= KNOWN_IN or min(ahead) <= GAP_SPACE_IN:
+            return False
+        # Each short reading must be of a wall of the map, not of one that it does not have yet.
+        beams = self._guard.short_beams(encoders)
+        faces = pose[:2] + rotate(beams[:, :2], np.full(len(beams), float(pose[2])))
+        nearest, distances = nearest_points(faces, mapper.walls)
+        off = nearest - faces[:, None]
+        aside = wrap_angle(np.arctan2(off[..., 1], off[..., 0]) - beams[:, 2:3] - float(pose[2]))
+        explains = (np.abs(aside) < HALF_CONE_RAD + NEAR_CONE_RAD) & (distances < beams[:, 3:] + GUARD_MARGIN_IN)
+        return bool(explains.any(axis=1).all())
 
     def _give_up(self, pose: Floats, reason: str, back_rad: float) -> None:
         if self._leg is not None:
@@ -318,7 +347,7 @@ class _Motion:
         if self._blind_since is not None:
             blind_in = hypot(*(encoders - self._blind_since)[:2])
             allowed = 0.0 if blind_in > BLIND_IN else min(allowed, BLIND_IN_S)
-        if allowed < GAP_IN_S and self._fits(pose, float(pose[2]) + back, mapper):
+        if allowed < GAP_IN_S and self._fits(pose, encoders, float(pose[2]) + back, mapper):
             allowed = GAP_IN_S
         if self._fence is not None:
             # Where it would be after braking.

@@ -18,7 +18,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
-from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, survey
+from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, _Motion, survey
 from localization.navigation.control_law import MODEL_LIMITS
 from nclient import Robot, connect
 from nclient.cli import main
@@ -393,3 +393,27 @@ def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:
     drive = read_drive(record)
     assert len(drive.readings_in) > 150
     assert np.ptp(drive.encoders[:, 1]) > 10.0
+
+
+# What a map may overrule.
+
+
+class SoundMap:
+    """A map of one wall, 14 in to the left of the robot."""
+
+    is_sound, walls = True, np.array([[-60.0, 14.0, 60.0, 14.0]])
+
+
+@pytest.mark.parametrize(("axis_rad", "reading_in", "fits"), [
+    (pi / 2.0, 6.0, True),  # the wall itself, which sonars measure as the lower limit
+    (-pi / 2.0, 6.0, False),  # something on the other side, which is not in the map
+    (-pi / 2.0, 9.0, False),
+    (-pi / 2.0, 40.0, True),
+])  # fmt: skip
+def test_a_map_overrules_readings_only_that_it_explains(axis_rad: float, reading_in: float, fits: bool) -> None:
+    measured = SpeedGuard(N150)
+    motion = _Motion(WaypointDriver([]), measured, MODEL_LIMITS["n150"], None)
+    # The encoders have another frame than the map: moved by (30, -20) and turned by 0.7 rad.
+    encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
+    measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
+    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap())) is fits
