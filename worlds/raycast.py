@@ -101,6 +101,19 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> t
     return max(nearest, 0.0), hit
 
 
+def sort_by_range(rows: list[Any]) -> None:
+    """Sort a few rows by their first number, a range, in place; those of equal ranges stay in their order.
+
+    By insertion: `list.sort` takes numba a fifth of the time of the whole function that sorts.
+    """
+    for number in range(1, len(rows)):
+        row, place = rows[number], number
+        while place > 0 and rows[place - 1][0] > row[0]:
+            rows[place] = rows[place - 1]
+            place -= 1
+        rows[place] = row
+
+
 def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
     """Return the range at which a ray's line meets a wall, from the ends of the wall in the frame of the ray.
 

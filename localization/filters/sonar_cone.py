@@ -53,6 +53,7 @@ from localization.filters.update import (
     mount_at,
     update_by_association,
 )
+from worlds.raycast import sort_by_range
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
 
@@ -282,7 +283,7 @@ def first_echoes(
         if to_x * axis_x + to_y * axis_y >= min_cosine:
             found.append((range_in, number, to_x, to_y, 1.0, loss_db))
     # 3. The first echo: the probability of each, if the path to it is clear, and that no nearer one was detected.
-    found.sort()
+    sort_by_range(found)
     undetected, echoes = 1.0, []
     for range_in, number, to_x, to_y, on_wall, loss_db in found:
         off_axis = wrap_angle(atan2(to_y, to_x) - axis)

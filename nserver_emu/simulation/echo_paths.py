@@ -43,7 +43,7 @@ from nserver_emu.simulation.visibility import (
     walls_in_cone,
     walls_of,
 )
-from worlds.raycast import nearest_wall, ray_to_disc
+from worlds.raycast import nearest_wall, ray_to_disc, sort_by_range
 
 SMALL_IN: Final = 1e-6
 """Offset of the start of a reflected leg from its wall, and tolerance at its end: inches, a millionth of the resolution
@@ -519,7 +519,7 @@ def first_free(
     The first and the last leg of a path lie in the cones, so only the visible walls there can stand between their ends.
     """
     out = pair.out
-    echoes.sort()
+    sort_by_range(echoes)
     for range_in, x1, y1, x2, y2, end_x, end_y in echoes:
         if (
             is_free(out.x, out.y, x1, y1, out_walls, discs)

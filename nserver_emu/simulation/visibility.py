@@ -24,7 +24,7 @@ import numpy as np
 import worlds.raycast
 from worlds.compiled import CompiledFunction, is_compiled_for
 from worlds.geometry import NO_DISCS, FloatArray
-from worlds.raycast import nearest_wall, ray_to_disc
+from worlds.raycast import nearest_wall, ray_to_disc, sort_by_range
 
 MAX_ROBOT_RANGE_IN: Final = 500.0
 """No sensor notices a robot from farther away: readings end at 255 in, second echoes at about 400."""
@@ -310,7 +310,7 @@ def walls_in_cone(beam: Beam, slope: float, reach_in: float, reflectors: Reflect
     is_crowded = len(blocks) > 1
     hidden_in = [inf for _ in range(SECTORS_OF_CROWD if len(blocks) > FEW_BLOCKS else SECTORS)]
     if is_crowded:
-        blocks.sort()
+        sort_by_range(blocks)
     for entry in blocks:
         if len(blocks) > FEW_BLOCKS and is_box_hidden(beam, slope, entry[1], boxes, hidden_in):
             continue

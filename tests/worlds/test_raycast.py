@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from worlds import raycast_arrays
 from worlds.geometry import polygon_segments
-from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_ray, nearest_wall, ray_to_disc
+from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_ray, nearest_wall, ray_to_disc, sort_by_range
 from worlds.raycast_arrays import cast_discs, cast_each, cast_rays
 
 Pair = tuple[float, float]
@@ -367,3 +367,10 @@ def test_scalar_disc_range_equals_array_exactly() -> None:
         assert met == [float(cast_discs((3.0, -2.0), direction, disc)) for disc in discs]
         assert inf in met
         assert 0.0 in met
+
+
+@given(st.lists(st.tuples(st.sampled_from([-1.0, 0.0, 0.5, 2.0, inf]), st.integers())))
+def test_rows_are_sorted_by_range_and_equal_ones_stay(rows: list[tuple[float, int]]) -> None:
+    expected = sorted(rows, key=lambda row: row[0])
+    sort_by_range(rows)
+    assert rows == expected
