@@ -578,6 +578,12 @@ class History(NamedTuple):
     used: Any
 
 
+def copy_row(row: Any, to: Any) -> None:
+    """Copy a row; numba compiles `to[:] = row` for seconds, for the text of its error."""
+    for number in range(len(row)):
+        to[number] = row[number]
+
+
 def make_drive(sources: int) -> Drive:
     """Return the loop in Python; the checksum of what it calls is part of its key in numba's cache."""
 
@@ -598,10 +604,10 @@ def make_drive(sources: int) -> Drive:
             trial.goals_in, trial.noise, trial.sonar, trial.gate, trial.walls, trial.angles_rad,
         )  # fmt: skip
         count = len(angles_rad)
-        H, R, innovation = np.zeros((count, POSE)), np.ones(count), np.zeros(count)
-        is_used = np.zeros(count, dtype=np.bool_)
-        change: Any = np.zeros(POSE)
-        before: Any = np.zeros(POSE)
+        # By beam; each is written before it is read. Lists: numba compiles `np.zeros` for seconds.
+        H, is_used = [(0.0, 0.0, 0.0) for _ in range(count)], [False for _ in range(count)]
+        R, innovation = [0.0 for _ in range(count)], [0.0 for _ in range(count)]
+        change, before = mean[0].copy(), mean[0].copy()
         rows = wall_rows(walls)
         listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
@@ -614,7 +620,7 @@ def make_drive(sources: int) -> Drive:
                 # 1. The command.
                 distance, turn = step_to(x[0], x[1], x[HEADING], goals[goal, 0], goals[goal, 1], trial.gains)
                 # 2. The bound along the true path, and the belief, are predicted by the same function.
-                before[:] = truth[i]
+                copy_row(truth[i], before)
                 predict_state(before, bound[i], distance, turn, noise)
                 predict_state(x, P, distance, turn, noise)
                 # 3. The true step has the noise of the model.
@@ -647,23 +653,27 @@ def make_drive(sources: int) -> Drive:
                     R_beam, error = range_variance(sonar, expected.range_in), reading - expected.range_in
                     if error * error <= trial.threshold * (predicted_variance(P, expected.H) + R_beam):
                         innovation[beam], R[beam], is_used[beam] = error, R_beam, True
-                        H[beam, 0], H[beam, 1], H[beam, 2] = expected.H
+                        H[beam] = expected.H
                         used += 1
                 # 6. The update by the whole ring, reading by reading, as `ekf.update_ring`.
                 nis = 0.0
-                change[:] = 0.0
+                for coordinate in range(POSE):
+                    change[coordinate] = 0.0
                 for beam in range(count):
                     if is_used[beam]:
-                        a, b, c = H[beam, 0], H[beam, 1], H[beam, 2]
+                        a, b, c = H[beam]
                         left = innovation[beam] - (a * change[0] + b * change[1] + c * change[2])
-                        K, S = pose_gain(P, (a, b, c), R[beam])
+                        K, S = pose_gain(P, H[beam], R[beam])
                         nis += apply_gain(change, P, K, S, left)
                 x[0] += change[0]
                 x[1] += change[1]
                 x[HEADING] = wrap_angle(x[HEADING] + change[HEADING])
                 # 7. The step is over; a goal may be reached.
-                history.truth[row, i], history.mean[row, i] = truth[i], x
-                history.cov[row, i], history.bound[row, i] = P, bound[i]
+                copy_row(truth[i], history.truth[row, i])
+                copy_row(x, history.mean[row, i])
+                for coordinate in range(POSE):
+                    copy_row(P[coordinate], history.cov[row, i, coordinate])
+                    copy_row(bound[i, coordinate], history.bound[row, i, coordinate])
                 history.nis[row, i], history.used[row, i] = nis, used
                 steps[i] = row + 1
                 if hypot(goals[goal, 0] - x[0], goals[goal, 1] - x[1]) <= trial.waypoint_radius_in:
@@ -677,7 +687,7 @@ def make_drive(sources: int) -> Drive:
 def load_drive() -> Drive:
     """Return the compiled loop. Raises ImportError without numba."""
     compiled.load()
-    make_compilable([step_to])
+    make_compilable([step_to, copy_row])
     sources = checksum(__file__, control_law.__file__, *(module.__file__ for module in compiled.SOURCES))
     # A division by zero gives what it gives in arrays.
     return cast("Drive", compile_function(make_drive(sources), is_division_tested=False))
