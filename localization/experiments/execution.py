@@ -254,6 +254,9 @@ _COMPILED_BATCH: Final = 10
 _CLUSTER_BATCH: Final = 25
 """Seeds per batch on a cluster: a few seconds of work, so that the slowest worker delays little."""
 
+_MIN_BATCH: Final = 8
+"""Seeds per batch at least: a step of all takes as long as one of a single robot, most of it for the calls of numpy."""
+
 # Interval at which the parent reads the workers' counter for its progress bar.
 _POLL_INTERVAL_S: Final = 0.2
 
@@ -265,8 +268,9 @@ class _StepCounter:
 
 
 def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
-    """Return the seeds in batches of equal size: one per job, or more if that would exceed _MAX_BATCH."""
-    size = max(1, min(_MAX_BATCH, math.ceil(len(seeds) / jobs)))
+    """Return the seeds in batches of equal size: one per job, within _MIN_BATCH and _MAX_BATCH."""
+    used = max(1, min(jobs, len(seeds) // _MIN_BATCH))
+    size = max(1, min(_MAX_BATCH, math.ceil(len(seeds) / used)))
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from localization.experiments import execution
 from localization.experiments.execution import drive, drive_batch, split_seeds
 from localization.experiments.figure_trial import FIGURES
 
@@ -13,7 +14,8 @@ from localization.experiments.figure_trial import FIGURES
     [
         (1, 1, [1]),
         (1, 8, [1]),
-        (10, 3, [4, 4, 2]),
+        (10, 3, [10]),
+        (30, 4, [10, 10, 10]),
         (100, 2, [50, 50]),
         (1000, 2, [125] * 8),
         (1001, 3, [125] * 8 + [1]),
@@ -26,7 +28,8 @@ def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list
 
 
 @pytest.mark.long
-def test_the_numbers_do_not_depend_on_the_processes() -> None:
+def test_the_numbers_do_not_depend_on_the_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execution, "_MIN_BATCH", 1)
     figure = FIGURES["5.6"]
     reports: list[int] = []
     # Three seeds in this process, and in two others.
