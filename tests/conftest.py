@@ -12,6 +12,7 @@ import gc
 import os
 import signal
 from collections.abc import Generator, Iterator
+from inspect import isfunction
 from itertools import chain, islice
 from pathlib import Path
 
@@ -28,12 +29,16 @@ LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 SHORT_HALF, LONG_HALF = "not long and not hypothesis", "long or hypothesis"
 """The `-m` of the two halves of scripts/test."""
 SLOWEST = (
-    "packaging/test_wheel.py", "integration/test_readme.py", "docs/test_pages.py", "docs/test_site.py",
-    "nserver_emu/server/test_determinism.py", "localization/experiments/test_trial.py", "integration/test_cluster.py",
-    "localization/filters/test_compiled.py localization/filters/test_mounts.py", "localization/cli/test_calibrate.py",
-    "localization/experiments/test_compiled_trial.py", "nserver_emu/simulation/test_compiled_echoes.py",
-    "nserver_emu/simulation/test_batch.py",
-    "docs/test_calibration_and_maps_pages.py", "benchmarks/test_line_localizer.py", "docs/test_missions_page.py",
+    "docs/test_site.py", "docs/test_calibration_and_maps_pages.py",
+    "localization/filters/test_compiled.py localization/filters/test_mounts.py "
+    "localization/experiments/test_compiled_trial.py",
+    "integration/test_readme.py", "docs/test_pages.py", "packaging/test_wheel.py", "localization/cli/test_calibrate.py",
+    "nserver_emu/simulation/test_batch.py", "nserver_emu/simulation/test_compiled_echoes.py",
+    "localization/cli/test_localize.py", "localization/experiments/test_trial.py", "benchmarks/test_isolation.py",
+    "docs/test_missions_page.py", "benchmarks/test_line_localizer.py", "localization/navigation/test_mission.py",
+    "nserver_emu/server/test_determinism.py", "integration/viewer/test_localization.py",
+    "localization/live/test_background_search.py", "integration/test_missions.py", "integration/test_safety.py",
+    "integration/test_cluster.py",
 )  # fmt: skip
 """Files that a worker begins with, the slowest first: begun last, they would run when all others are done. Files of one
 entry run on the same worker, as they compile the same functions: two workers would compile them twice."""
@@ -80,6 +85,23 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         return None
     text = collection_path.read_text(encoding="utf-8")
     return None if "mark.long" in text or "hypothesis" in text else True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, obj: object) -> list[pytest.Item] | None:
+    """With the `-m` of a half, make no tests of a function of the other, which takes each worker a second."""
+    half = collector.config.option.markexpr
+    is_elsewhere = half not in (SHORT_HALF, LONG_HALF) or collector.path.relative_to(TESTS).parts[0] in LONG
+    if is_elsewhere or not isfunction(obj):
+        return None
+    marks: list[pytest.Mark] = getattr(obj, "pytestmark", [])
+    # Single parameters may be marked: pytest decides.
+    rows = [mark.args[1] if len(mark.args) > 1 else () for mark in marks if mark.name == "parametrize"]
+    if any(getattr(row, "marks", ()) for values in rows if isinstance(values, list | tuple) for row in values):
+        return None
+    is_long = collector.get_closest_marker("long") is not None or any(mark.name == "long" for mark in marks)
+    is_in_long_half = is_long or getattr(obj, "is_hypothesis_test", False)
+    return None if is_in_long_half == (half == LONG_HALF) else []
 
 
 @pytest.hookimpl(wrapper=True)

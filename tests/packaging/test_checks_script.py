@@ -20,7 +20,7 @@ name=$(basename "$0")
 case "$name $*" in
   "id -u") echo 0; exit;;
   *collect-only*) exit;;
-  "pytest -n 5"*) name=long;;
+  "pytest -n 7"*) name=long;;
   "pytest"*) name=short;;
   "python -m fuzz"*) name=fuzz;;
   "cc "* | "c++ "*) cat >/dev/null; exit;;  # the program to compile; unread, the pipe would fail
