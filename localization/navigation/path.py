@@ -18,10 +18,11 @@ needs time to accelerate.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from math import atan2, ceil, copysign, cos, hypot, inf, pi, remainder, sin, sqrt, tan, tau
 from typing import Final, NamedTuple
 
@@ -78,8 +79,9 @@ class PathElement(NamedTuple):
         """Return the point at an arc length."""
         turn = self.curvature * along_in
         # The chord of an arc has the length s sin(turn / 2) / (turn / 2) and half the turn's direction.
-        chord = along_in * float(np.sinc(0.5 * turn / pi))
-        middle = self.heading_rad + 0.5 * turn
+        half = 0.5 * turn
+        chord = along_in * sin(half) / half if half else along_in
+        middle = self.heading_rad + half
         return PathPoint(
             self.x_in + chord * cos(middle), self.y_in + chord * sin(middle), self.heading_rad + turn, self.curvature
         )
@@ -115,20 +117,20 @@ class PathSection:
     elements: tuple[PathElement, ...]
 
     @cached_property
-    def starts_in(self) -> Floats:
-        """Arc length at which each element starts, and the total length: (elements + 1,)."""
-        return np.concatenate(([0.0], np.cumsum([element.length_in for element in self.elements])))
+    def starts_in(self) -> list[float]:
+        """Arc length at which each element starts, and the total length: (elements + 1)."""
+        return [0.0, *accumulate(element.length_in for element in self.elements)]
 
     @property
     def length_in(self) -> float:
         """Total length."""
-        return float(self.starts_in[-1])
+        return self.starts_in[-1]
 
     def at(self, along_in: float) -> PathPoint:
         """Return the point at an arc length, limited to the section."""
         along = min(max(along_in, 0.0), self.length_in)
-        number = min(int(np.searchsorted(self.starts_in, along, side="right")) - 1, len(self.elements) - 1)
-        return self.elements[number].at(along - float(self.starts_in[number]))
+        number = min(bisect_right(self.starts_in, along) - 1, len(self.elements) - 1)
+        return self.elements[number].at(along - self.starts_in[number])
 
     def nearest(self, x_in: float, y_in: float, first_in: float = 0.0, last_in: float = inf) -> float:
         """Return the arc length of the nearest point, searched from `first_in` to `last_in`."""
@@ -136,7 +138,7 @@ class PathSection:
         for element, start in zip(self.elements, self.starts_in, strict=False):
             if start > last_in or start + element.length_in < first_in:
                 continue
-            along = min(max(float(start) + element.nearest(x_in, y_in), first_in), last_in, self.length_in)
+            along = min(max(start + element.nearest(x_in, y_in), first_in), last_in, self.length_in)
             point = self.at(along)
             distance = hypot(point.x_in - x_in, point.y_in - y_in)
             if distance < smallest:
@@ -146,7 +148,7 @@ class PathSection:
     def points(self, step_in: float, first_in: float = 0.0) -> Floats:
         """Return points (n, 2) from `first_in` to the end, at most `step_in` apart."""
         count = max(1, int(np.ceil((self.length_in - first_in) / step_in)))
-        return np.array([self.at(along)[:2] for along in np.linspace(first_in, self.length_in, count + 1)])
+        return np.array([self.at(along)[:2] for along in np.linspace(first_in, self.length_in, count + 1).tolist()])
 
 
 def split_into_sections(elements: Sequence[PathElement]) -> tuple[PathSection, ...]:
