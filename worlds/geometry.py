@@ -152,20 +152,21 @@ def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,
     flat = here.reshape(-1, 2)
     within = np.zeros((len(flat), len(rows)), dtype=bool)
     low, high = np.minimum(edges[:, 1], edges[:, 3]), np.maximum(edges[:, 1], edges[:, 3])
-    polygons = np.repeat(np.arange(len(rows)), np.diff(rows, append=len(edges)))
     for part in _blocks(len(flat), len(edges)):
         # 1. Edges beside the points of the block; the others are not crossed.
         x, y = flat[part, :1], flat[part, 1:]
         near = np.flatnonzero((low <= y.max()) & (high >= y.min()))
-        present, starts = np.unique(polygons[near], return_index=True)
         if not len(near):
             continue
+        # Their polygons, and where each polygon's edges begin among them.
+        polygons = rows.searchsorted(near, side="right") - 1
+        starts = np.flatnonzero(np.concatenate(([True], polygons[1:] != polygons[:-1])))
         # 2. Edges crossed, and their parity for each polygon.
         x1, y1, x2, y2 = edges[near].T
         spans = (y1 > y) != (y2 > y)
         left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0
         crossed = spans & (left_of_edge == (y2 > y1))
-        within[part, present] = np.logical_xor.reduceat(crossed, starts, axis=-1)
+        within[part, polygons[starts]] = np.logical_xor.reduceat(crossed, starts, axis=-1)
     return within.reshape(*here.shape[:-1], len(rows))
 
 
