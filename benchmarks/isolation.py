@@ -46,7 +46,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import aiohttp
 from load import AHEAD_DAEMON, AHEAD_HOSTILE, BEGUN, CLIENTS_PRIORITY, CONNECT, GS, HOST, bound_ms, p99
 
 from nclient.protocol import codec
@@ -223,6 +222,8 @@ def flood(port: int, count: Count, message: bytes, connections: int, laser: bool
 
 async def call(page: str, count: Count) -> None:
     """Make calls over a page's websocket, with twenty outstanding at a time."""
+    import aiohttp
+
     origin, _, query = page.partition("/?")
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{origin}/ws?{query}", origin=origin) as web:
         for number in range(20):
@@ -260,6 +261,8 @@ def be_hostile(kind: str, port: int, page: str) -> None:
         os._exit(0)
 
     signal.signal(signal.SIGTERM, end)
+    if kind == "calls":
+        import aiohttp  # noqa: F401  before the beginning; the other processes of this program do without
     print(BEGUN, flush=True)
     match kind:
         case "churn":

@@ -12,7 +12,7 @@ import pytest
 @pytest.mark.parametrize("kind", list(isolation.ARGUMENTS))
 def test_every_kind_is_measured(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(isolation, "OBSTACLES", 20)
-    found = isolation.measure(kind, rounds=1, seconds=0.5)
+    found = isolation.measure(kind, rounds=1, seconds=0.25)
     assert found["hostile"] == kind
     # Attempts are counted over the time in which they are made, which begins before the measurement.
     assert 0.0 < found["attempts_per_s"] <= (1.1 * isolation.CHURN_HZ if kind == "churn" else math.inf)
