@@ -145,10 +145,11 @@ class PathSection:
                 smallest, found = distance, along
         return found
 
-    def points(self, step_in: float, first_in: float = 0.0) -> Floats:
-        """Return points (n, 2) from `first_in` to the end, at most `step_in` apart."""
+    def points(self, step_in: float, first_in: float = 0.0, limit: int | None = None) -> Floats:
+        """Return points (n, 2) from `first_in` to the end, at most `step_in` apart; at most `limit` of them."""
         count = max(1, int(np.ceil((self.length_in - first_in) / step_in)))
-        return np.array([self.at(along)[:2] for along in np.linspace(first_in, self.length_in, count + 1).tolist()])
+        along_in = np.linspace(first_in, self.length_in, count + 1)[:limit].tolist()
+        return np.array([self.at(along)[:2] for along in along_in])
 
 
 def split_into_sections(elements: Sequence[PathElement]) -> tuple[PathSection, ...]:
@@ -401,12 +402,14 @@ class PathFollower:
 
     def remaining_points(self, step_in: float = 1.0, distance_in: float = inf) -> Floats:
         """Return points (n, 2) of the remaining path, `step_in` apart, as far as `distance_in`."""
-        parts = [
-            section.points(step_in, min(self._along_in, section.length_in) if k == 0 else 0.0)
-            for k, section in enumerate(self._path[self._number :])
-        ]
-        points: Floats = np.concatenate(parts) if parts else np.zeros((0, 2))
-        return points if distance_in == inf else points[: max(1, int(distance_in / step_in))]
+        limit = None if distance_in == inf else max(1, int(distance_in / step_in))
+        points, first_in = np.zeros((0, 2)), self._along_in
+        for section in self._path[self._number :]:
+            points = np.concatenate((points, section.points(step_in, min(first_in, section.length_in), limit)))
+            if limit is not None and len(points) >= limit:
+                break
+            first_in = 0.0
+        return points[:limit]
 
     def _drive(
         self, section: PathSection, point: PathPoint, pose: Floats, heading_error: float, fraction: float

@@ -475,8 +475,10 @@ class Pilot:
             self.log.notes.append((now_s, f"{abs(follower.lateral_error_in):.1f} in beside the path"))
             return True
         obstacles = self._obstacles.confirmed
+        if not len(obstacles) or now_s < self._planned_s + REPLAN_INTERVAL_S:
+            return False
         points = follower.remaining_points()
-        if not len(obstacles) or not len(points) or now_s < self._planned_s + REPLAN_INTERVAL_S:
+        if not len(points):
             return False
         # A path planned through a narrow gap has less margin from the start.
         margin_in = min(OBSTACLE_MARGIN_IN, 0.5 * self.log.plans[-1].margin_in)
