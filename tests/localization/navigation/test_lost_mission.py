@@ -82,8 +82,8 @@ def test_search_in_symmetric_room_ends_at_time_limit(controller_at: MakeControll
     """The square room has four equivalent poses for every position."""
     controller = controller_at("thesis_room", "45,45,0,0", method="finder")
     Kidnapper(controller, Pose(20.0, 70.0, 1.0))
-    mission = Mission(controller, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
-    with pytest.raises(MissionOver, match=r"localized.* 25 s"):
+    mission = Mission(controller, Settings(on_lost=OnLost.SEARCH, lost_s=15.0))
+    with pytest.raises(MissionOver, match=r"localized.* 15 s"):
         mission.patrol([(80, 80), (10, 10)], rounds=3)
     assert not any(step.touches for step in mission.report.steps)
 
