@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final
-
-from rosbags.interfaces import Nodetype
-from rosbags.typesys.store import Typestore
+from typing import TYPE_CHECKING, Any, Final
 
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 Message = dict[str, Any]
 Pose2 = tuple[float, float, float]
@@ -157,6 +157,9 @@ class MessageBuilder:
         class_of: Callable[[str], Callable[..., Any]],
         array_of: Callable[[Sequence[Any], str], Any] | None = None,
     ) -> None:
+        from rosbags.interfaces import Nodetype  # here: the extra ros2; the messages above need none
+
+        self._kinds: Any = Nodetype
         self._store = store
         self._class_of = class_of
         self._array_of = array_of
@@ -168,14 +171,14 @@ class MessageBuilder:
 
     def _value(self, field: FieldType, value: Any) -> Any:
         match field:
-            case Nodetype.BASE, (name, _):
+            case self._kinds.BASE, (name, _):
                 return _DEFAULTS.get(name, 0) if value is None else value
-            case Nodetype.NAME, name:
+            case self._kinds.NAME, name:
                 return self.build(name, value or {})
         # Arrays: of numbers as they are, since a map has a million of them.
         kind, (item, length) = field
         if value is None:
-            value = [self._value(item, None)] * length if kind == Nodetype.ARRAY else []
-        if item[0] == Nodetype.BASE and item[1][0] != "string":
+            value = [self._value(item, None)] * length if kind == self._kinds.ARRAY else []
+        if item[0] == self._kinds.BASE and item[1][0] != "string":
             return value if self._array_of is None else self._array_of(value, item[1][0])
         return [self._value(item, one) for one in value]
