@@ -41,7 +41,7 @@ __all__ = [
 
 def parallel_env(**options: object) -> object:
     """Return an environment of PettingZoo with several robots; see `parallel.RobotsParallelEnv`."""
-    from nserver_emu.gym.environments import RobotsParallelEnv  # needs PettingZoo, which the other environments do not
+    from nserver_emu.gym.parallel import RobotsParallelEnv  # needs PettingZoo, which the other environments do not
 
     return RobotsParallelEnv(**options)  # type: ignore[arg-type]
 
