@@ -40,6 +40,9 @@ from localization.mapping.measurements import (
 from localization.mapping.problem import NO_FEATURE, Assignment, MapProblem
 from nclient.state import RobotState
 
+WHOLE_ROUNDS, WHOLE_NODES = 4, 600
+"""Of so many solutions one takes the echoes of so many nodes for births: in 30 s too little is seen of a wall that the
+robot passes now and then. Rooms are explored in 300 s."""
 LAG_NODES: Final = 20
 """Nodes of the smoother: 10 s."""
 ALIGN_NODES: Final = 6
@@ -200,7 +203,8 @@ class LiveMapper:
             kept = int(np.searchsorted(old.node, same))
             feature[:kept] = before.assignment.feature[:kept]
         # 2. From the smoother's poses; if that is poor, also from the odometry with its headings compared anew.
-        window = max(len(trajectory) - WINDOW_NODES, 0)
+        is_whole = self.rounds % WHOLE_ROUNDS == WHOLE_ROUNDS - 1
+        window = max(len(trajectory) - (WHOLE_NODES if is_whole else WINDOW_NODES), 0)
         mapped = len(before.state.poses)
         candidates: list[MapEstimate] = []
         for poses in (self._poses[: _common(trajectory.group, self._groups)], before.state.poses[:same]):
