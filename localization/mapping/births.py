@@ -51,6 +51,8 @@ MIN_DIFFERENCE: Final = 10.0
 TRUNCATION: Final = 9.0
 """Highest cost of an echo in the decision, 3 standard deviations."""
 FIT_STEPS: Final = 6
+MAX_WALL_STEP, MAX_POINT_STEP = np.array((0.25, 5.0)), np.array((5.0, 5.0))
+"""Longest step of a fit: radians and inches of a wall, inches of a point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +203,9 @@ def _fit(free: FreeEchoes, feature: Floats, is_wall: bool) -> Fit:
         weight = robust_weight(r)
         information = J.T @ (J * weight[:, None]) + 1e-6 * np.eye(2)
         change = np.linalg.solve(information, J.T @ (weight * r))
-        feature = feature + np.clip(change, -5.0, 5.0) * (1.0 if not is_wall else np.array((0.05, 1.0)))
+        # A limit of the length keeps the direction: angle and offset of a wall far from the origin change together.
+        limits = MAX_WALL_STEP if is_wall else MAX_POINT_STEP
+        feature = feature + change / max(float(np.abs(change / limits).max()), 1.0)
     cost = np.where(in_cone, np.minimum(np.square(residual / free.std_in), TRUNCATION), TRUNCATION)
     return Fit(feature, cost, supports, _base(free, predicted, supports, is_wall))
 

@@ -14,10 +14,11 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
+from localization.mapping.births import FreeEchoes, _fit
 from localization.mapping.learn import _merged, learn_map, merge, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
-from localization.mapping.problem import NO_FEATURE
+from localization.mapping.problem import NO_FEATURE, Sensors
 from localization.mapping.walls import end_derivative
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive
@@ -102,6 +103,21 @@ def test_paths_pass_a_line_where_no_spot_was_measured(estimate: MapEstimate) -> 
     starts, ends = spots - 10.0 * normal, spots + 10.0 * normal
     assert is_blocked(starts, ends, found.blocking).tolist() == [False, True, True]
     assert is_blocked(starts, ends, estimate.blocking).all()
+
+
+def test_wall_far_from_the_origin_is_fitted_from_the_cell_of_its_peak() -> None:
+    # Rays from 20 in before the wall x = 60, to its spots at y = 75 to 100, exactly.
+    spots = np.linspace(75.0, 100.0, 30)
+    faces = np.stack((np.full(30, 40.0), 0.8 * spots + 15.0), axis=-1)
+    off = np.stack((np.full(30, 60.0), spots), axis=-1) - faces
+    sensors = Sensors(faces, np.zeros((30, 2)), np.arctan2(off[:, 1], off[:, 0]), np.hypot(off[:, 0], off[:, 1]))
+    for degrees_off in (-1.0, 1.0):
+        # The line of a cell, 1 degree off, passes the middle of the spots.
+        angle = np.radians(degrees_off)
+        start = np.array((angle, 60.0 * np.cos(angle) + 87.5 * np.sin(angle)))
+        fit = _fit(FreeEchoes(sensors, np.full(30, 0.5), rays=True), start, True)
+        np.testing.assert_allclose(fit.feature, (0.0, 60.0), atol=1e-3)
+        assert fit.supports.all()
 
 
 def test_line_along_parts_of_two_walls_becomes_both() -> None:
