@@ -234,7 +234,10 @@ def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) ->
 def sampled_echoes(
     walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float, places: int
 ) -> tuple[Floats, Floats]:
-    """Return ranges and probabilities (k, DIRECTIONS) at up to k = `places` random places on the floor of a map."""
+    """Return ranges and probabilities (k, DIRECTIONS) at up to k = `places` random places on the floor of a map.
+
+    So few are computed in arrays, sooner than compiled code is loaded.
+    """
     segments = wall_map(walls).segments
     low, high = segments.reshape(-1, 2).min(axis=0), segments.reshape(-1, 2).max(axis=0)
     around = reflectors(segments)
@@ -243,7 +246,7 @@ def sampled_echoes(
     chosen: list[tuple[Floats, Floats]] = []
     for place in drawn:
         if len(chosen) < places and nearest_points(place, segments)[1].min() >= clearance_in:
-            chosen.append(_expected(place[None], place[None], segments, around, body, sonar))
+            chosen.append(_expected(place[None], place[None], segments, around, body, sonar, may_compile=False))
     if not chosen:
         return np.zeros((0, DIRECTIONS)), np.zeros((0, DIRECTIONS))
     ranges, probabilities = (np.concatenate(part) for part in zip(*chosen, strict=True))
@@ -312,13 +315,14 @@ def expectation(
 
 
 def _expected(
-    places: Floats, block: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar
-) -> tuple[Floats, Floats]:
+    places: Floats, block: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar,
+    *, may_compile: bool = True,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at places (n, 2) of a block (m, 2)."""
     directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
     if isinstance(sonar, ConeSonar):
         near, ring_in = _within_range(block, around), body.sonar_ring_radius_in
-        found = compiled_echoes(places, DIRECTIONS, near, ring_in, HEADING_STD_RAD, sonar)
+        found = compiled_echoes(places, DIRECTIONS, near, ring_in, HEADING_STD_RAD, sonar) if may_compile else None
         return found or _most_probable(places, directions, *around_block(block, near, ring_in), body, sonar)
     range_in = ranges_from(_poses(places, directions), np.zeros(1), body, wall_map(segments)).range_in[..., 0]
     has_wall = np.isfinite(range_in)
