@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from localization.live.sensor_input import SensorData
-from localization.navigation.control_law import MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
+from localization.navigation.control_law import FREE_S, MAX_DRIVE_IN_S, SCAN_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 
@@ -41,3 +43,13 @@ def test_space_ahead_follows_steering_not_turret() -> None:
     one.command(ring(near()))
     assert one.command(ring(near(8), 1.0 + 3.14159))[0] == 0.0
     assert one.command(ring(near(0), 1.0 + 3.14159))[0] == MAX_DRIVE_IN_S
+
+
+def test_walls_beside_the_lane_do_not_slow_the_robot() -> None:
+    """A corridor of 78 in: the sonars at 45 degrees measure 45 in, and 32 in to the side; those beside it less."""
+    corridor = tuple({2: 45, 14: 45, 3: 33, 13: 33, 4: 30, 12: 30}.get(sonar, 255) for sonar in range(16))
+    narrow = tuple({1: 40, 15: 40}.get(sonar, 255) for sonar in range(16))
+    for readings, speed_in_s in ((corridor, MAX_DRIVE_IN_S), (narrow, 40.0 * math.cos(math.tau / 16) / FREE_S)):
+        one = RecoveryBehavior(100.0)
+        one.command(ring(readings))
+        assert one.command(ring(readings))[0] == pytest.approx(speed_in_s)
