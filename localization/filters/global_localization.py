@@ -202,6 +202,7 @@ class GlobalLocalizer:
     ) -> None:
         self._measurement, self._odometry = measurement, odometry
         self._replay = EchoReplay(measurement, odometry)
+        self._replay.load()
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
         self._poses = poses
         self._monitor = monitor or IntegrityMonitor()

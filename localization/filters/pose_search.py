@@ -120,6 +120,10 @@ class EchoReplay:
         """The compiled loop, where that is wanted."""
         return compiled.ring(filter_ring, widen_prediction, self._measurement.direct, self.odometry)
 
+    def load(self) -> None:
+        """Load compiled code now, which takes longer than an update may."""
+        bool(self._ring)
+
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
         """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
         x: Any
@@ -387,16 +391,17 @@ def _finer(place: Numbers, row: Numbers, table: RangeTable) -> tuple[Numbers, Nu
 
 def _fine(place: Numbers, row: Numbers, chosen: Weighed, last: EchoRecord, table: RangeTable) -> Floats:
     """Return the log likelihoods (n,) of poses at places with headings of these rows."""
-    # 1. The places where the robot was at each record.
+    # 1. The places where the robot was at each record: an array of all of them would be large.
     shifts = [_shifts(record, last) for record, _ in chosen]
-    there = [table.beside(place, dx[row], dy[row]) for dx, dy, _ in shifts]
-    if there:
-        table.require(np.unique(np.concatenate([np.unique(part) for part in there])))
+    needed = np.zeros(len(table.is_known), dtype=np.bool_)
+    for dx, dy, _ in shifts:
+        needed[table.beside(place, dx[row], dy[row])] = True
+    table.require(np.flatnonzero(needed))
     # 2. As in `_coarse`.
     total = np.zeros(len(place))
-    for (record, driven_in), (_, _, directions), beside in zip(chosen, shifts, there, strict=True):
+    for (record, driven_in), (dx, dy, directions) in zip(chosen, shifts, strict=True):
         nats = _log_likelihoods(record.reading_in, table.cell_in, driven_in)
-        total += nats[table.codes[directions[row], beside]]
+        total += nats[table.codes[directions[row], table.beside(place, dx[row], dy[row])]]
     return total
 
 

@@ -55,8 +55,8 @@ _SMOOTHING: Final = np.full(5, 0.2)
 """Smooths the histogram of ranges by the size of a cell."""
 
 
-Expect = Callable[[npt.NDArray[np.intp], Callable[[float], None]], tuple[Floats, Floats]]
-"""Computes ranges and probabilities at places; see `RangeTable`."""
+Expect = Callable[[npt.NDArray[np.intp], Callable[[float], None]], npt.NDArray[np.uint16]]
+"""Computes codes at places; see `RangeTable`."""
 
 
 @dataclass
@@ -76,8 +76,8 @@ class RangeTable:
     is_known
         (places + 1,) True for the places whose codes are computed.
     expect
-        Computes ranges and probabilities (n, DIRECTIONS) at the places of these numbers (n,); called with what reports
-        the fraction that is done.
+        Computes the codes (n, DIRECTIONS) at the places of these numbers (n,); called with what reports the fraction
+        that is done.
     """
 
     origin_in: Floats
@@ -116,7 +116,7 @@ class RangeTable:
         """Compute the codes of places that are not yet known; return True if there were any."""
         missing = np.unique(numbers[~self.is_known[numbers]])
         if len(missing):
-            self.codes[:, missing] = encoded(*self.expect(missing, progress)).T
+            self.codes[:, missing] = self.expect(missing, progress).T
             self.is_known[missing] = True
         return bool(len(missing))
 
@@ -298,18 +298,16 @@ def expectation(
     places = origin_in + cell_in * np.stack((columns, rows), axis=-1)
     block_of = rows // _BLOCK_CELLS * (number.shape[1] // _BLOCK_CELLS + 1) + columns // _BLOCK_CELLS
 
-    def expect(numbers: npt.NDArray[np.intp], progress: Callable[[float], None]) -> tuple[Floats, Floats]:
-        ranges, probabilities = np.zeros((len(numbers), DIRECTIONS)), np.zeros((len(numbers), DIRECTIONS))
-        done = 0
+    def expect(numbers: npt.NDArray[np.intp], progress: Callable[[float], None]) -> npt.NDArray[np.uint16]:
+        codes, done = np.zeros((len(numbers), DIRECTIONS), dtype=np.uint16), 0
         for block in np.unique(block_of[numbers]):
             at = np.flatnonzero(block_of[numbers] == block)
             # All places of the block decide what is in sight, so that the echoes of one do not depend on the others.
-            ranges[at], probabilities[at] = _expected(
-                places[numbers[at]], places[block_of == block], segments, around, body, sonar
-            )
+            block_places = places[block_of == block]
+            codes[at] = encoded(*_expected(places[numbers[at]], block_places, segments, around, body, sonar))
             done += len(at)
             progress(done / len(numbers))
-        return ranges, probabilities
+        return codes
 
     return expect
 
