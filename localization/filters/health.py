@@ -225,7 +225,7 @@ class SlipTest:
 
         The evidence is its log likelihood ratio to none, with MAX_NATS_OF_ONE_SIDE; without any the displacement is 0.
         """
-        (*shortened, _), (*lengthened, _) = self.sums
+        (*shortened, _), (*lengthened, _) = self._rows()
         totals = [one + other for one, other in zip(shortened, lengthened, strict=True)]
         best = totals.index(max(totals))
         evidence = min(shortened[best], MAX_NATS_OF_ONE_SIDE) + min(lengthened[best], MAX_NATS_OF_ONE_SIDE)
@@ -240,14 +240,19 @@ class SlipTest:
 
     def _odds(self) -> tuple[float, float]:
         """Return `slipped` of sums that are not all 0."""
-        (*shortened, _), (*lengthened, _) = self.sums
-        # A displacement without evidence is none.
         before = (1 + self._slips) / (ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND)
-        sums = zip(shortened, lengthened, strict=True)
-        odds = [before * expm1(one + other) / len(DISPLACEMENTS_IN) for one, other in sums]
-        total = sum(odds)
-        squares = sum([odd * displacement_in**2 for odd, displacement_in in zip(odds, DISPLACEMENTS_IN, strict=True)])
+        shortened, lengthened = self._rows()
+        total = squares = 0.0
+        for displacement_in, one, other in zip(DISPLACEMENTS_IN, shortened, lengthened, strict=False):
+            # A displacement without evidence is none.
+            odds = before * expm1(one + other) / len(DISPLACEMENTS_IN)
+            total += odds
+            squares += odds * displacement_in**2
         return total / (1.0 + total), squares / (1.0 + total)
+
+    def _rows(self) -> list[list[float]]:
+        """Return `sums` in lists, whose elements plain Python adds faster."""
+        return self.sums if isinstance(self.sums, list) else self.sums.tolist()
 
 
 class IntegrityMonitor:
