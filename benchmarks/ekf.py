@@ -30,9 +30,8 @@ from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import update_ring
 from localization.filters.odometry import OdometryNoise, predict, process_covariance, step_jacobians
 from localization.filters.particles import MonteCarlo
-from localization.filters.reflectors import reflectors
 from localization.filters.registry import make
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, observe_ring, ranges_from, wall_map
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer

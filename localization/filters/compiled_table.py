@@ -16,8 +16,7 @@ import numpy as np
 from localization.filters import compiled
 from localization.filters.belief import Floats
 from localization.filters.compiled import ConeArrays, ConeSonarRow, ListedWalls, row_of
-from localization.filters.reflectors import Reflectors
-from localization.filters.sonar_cone import REACH_IN, ConeSonar, first_echoes, to_wall
+from localization.filters.sonar_cone import REACH_IN, ConeSonar, Reflectors, first_echoes, to_wall
 from localization.filters.sonar_ray import wall_rows
 from worlds.compiled import VARIABLE, compile_function, is_wanted, make_compilable, mark_path, write_mark
 from worlds.rings import SonarMount

@@ -20,8 +20,7 @@ import numpy.typing as npt
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, echo_probabilities
+from localization.filters.sonar_cone import ConeSonar, echo_probabilities, reflectors
 from localization.filters.sonar_ray import (
     RangeNoise,
     RaySonar,

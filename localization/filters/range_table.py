@@ -22,8 +22,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.filters.compiled_table import compiled_echoes
-from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, echo_probabilities
+from localization.filters.sonar_cone import CLEARANCE_IN, ConeSonar, Reflectors, echo_probabilities, reflectors
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from nclient.protocol.types import MAX_SONAR_IN
 from worlds.geometry import nearest_points

@@ -31,8 +31,7 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, Floats
 from localization.filters.odometry import OdometryNoise, process_covariance, step_jacobians
 from localization.filters.range_table import around_block
-from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, Reflectors, expected_echoes, reflectors
 from localization.filters.sonar_ray import RaySonar, SonarRing, WallMap, ranges_from, wall_map
 from localization.filters.update import Refusal
 from worlds.rings import SonarMount

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from localization.filters.calibration import EDGE_STD_RAD, AimReading, ConeAim
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import wall_map
 from worlds.rings import SonarMount
 from worlds.robots import N150

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, ConeSonar, expected_echoes, first_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, expected_echoes, first_echoes, reflectors
 from worlds.io import load_world
 from worlds.rings import SonarMount
 from worlds.robots import N150

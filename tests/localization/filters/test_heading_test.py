@@ -11,9 +11,8 @@ from localization.filters.ekf import KalmanFilter
 from localization.filters.heading_test import MIN_READINGS, READINGS, STEP_RAD, FiredAt, HeadingTest, likelihoods
 from localization.filters.health import HealthLimits
 from localization.filters.odometry import OdometryNoise
-from localization.filters.reflectors import reflectors
 from localization.filters.registry import HEADING_NATS, make
-from localization.filters.sonar_cone import ConeModel, ConeSonar, first_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, first_echoes, reflectors
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.filters.update import MeasurementUpdate, Refusal, association_probabilities, linear
 from worlds.io import load_world

@@ -10,10 +10,9 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import difference, independent, nees
 from localization.filters.ekf import KalmanFilter
 from localization.filters.odometry import OdometryNoise, move, predict, with_parameters
-from localization.filters.reflectors import reflectors
 from localization.filters.registry import make
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import RaySonar, ranges_from, wall_map
 from worlds.io import load_world
 from worlds.rings import SonarMount

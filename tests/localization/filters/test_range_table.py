@@ -17,8 +17,7 @@ from localization.filters.range_table import (
     connected,
     decoded,
 )
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import RaySonar, wall_map
 from worlds.compiled import VARIABLE
 from worlds.geometry import polygon_segments

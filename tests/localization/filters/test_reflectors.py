@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.filters.reflectors import reflectors
+from localization.filters.sonar_cone import reflectors
 from worlds.io import load_world
 
 

@@ -13,9 +13,8 @@ from localization.filters.belief import Floats, difference, independent
 from localization.filters.global_localization import MIN_LEAD_NATS
 from localization.filters.pose_search import EchoRecord, EchoReplay, Hypothesis, alternatives, merged, search
 from localization.filters.range_table import RangeTable, build_range_table
-from localization.filters.reflectors import reflectors
 from localization.filters.registry import update_for
-from localization.filters.sonar_cone import ConeSonar, expected_echoes
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER

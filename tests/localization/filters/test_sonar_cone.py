@@ -8,8 +8,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 import pytest
 
-from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, ConeSonar, echo_probabilities, expected_echoes
+from localization.filters.sonar_cone import ConeModel, ConeSonar, echo_probabilities, expected_echoes, reflectors
 from localization.filters.update import Refusal
 from worlds.io import load_world
 from worlds.rings import SonarMount
