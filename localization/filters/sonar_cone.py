@@ -455,6 +455,16 @@ def update_by_cone(
     return update_by_association(x, P, reading_in, association, linear, count, outlier_fraction)
 
 
+def rows_of(around: Reflectors, sonar: ConeSonar) -> tuple[Floats, Floats]:
+    """Return walls (m, 5) and vertices (v, 3) as rows for `first_echoes`.
+
+    A wall is its corner, normal and length; a vertex its place, and the loss of its echo in decibels.
+    """
+    losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
+    faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1)
+    return faces, np.column_stack((around.vertices, losses))
+
+
 class ConeModel:
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
@@ -467,9 +477,8 @@ class ConeModel:
             # or a door frame that is taken for it puts the robot off along the wall.
             around = around.some(np.full(len(around.walls), fill_value=True), ~around.free)
         self.around = around
-        losses = np.where(around.square, sonar.bounce_loss_db, sonar.edge_loss_db)
-        self.faces = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1).tolist()
-        self.vertices = np.column_stack((around.vertices, losses)).tolist()
+        faces, vertices = rows_of(around, sonar)
+        self.faces, self.vertices = faces.tolist(), vertices.tolist()
         self.update, self.range_parameters = update_by_cone, range_parameters
 
     def associate(

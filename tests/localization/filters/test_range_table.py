@@ -5,19 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters import compiled_table
+from localization.filters import range_table
 from localization.filters.compiled import ConeSonarRow, ListedWalls, row_of
-from localization.filters.compiled_table import compiled_echoes, likeliest_echoes, rows_of
 from localization.filters.range_table import (
     DIRECTIONS,
     HEADING_STD_RAD,
     MAX_SMALL_PLACES,
     RangeTable,
     build_range_table,
+    compiled_echoes,
     connected,
     decoded,
+    likeliest_echoes,
 )
-from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
+from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors, rows_of
 from localization.filters.sonar_ray import RaySonar, wall_map
 from worlds.compiled import VARIABLE
 from worlds.geometry import polygon_segments
@@ -71,9 +72,9 @@ def test_compiled_echoes_equal_plain_ones(monkeypatch: pytest.MonkeyPatch) -> No
     around = reflectors(wall_map(ROOMS).segments)
     assert compiled_echoes(PLACES, 24, around, RING_IN, HEADING_STD_RAD, ConeSonar()) is None, "the tests run plain"
     monkeypatch.setenv(VARIABLE, "always")
-    compiled_table._is_used.cache_clear()
+    range_table._is_used.cache_clear()
     found = compiled_echoes(PLACES, 24, around, RING_IN, HEADING_STD_RAD, ConeSonar())
-    compiled_table._is_used.cache_clear()
+    range_table._is_used.cache_clear()
     assert found is not None
     for part, plain in zip(found, plain_echoes(24), strict=True):
         np.testing.assert_allclose(part, plain, rtol=1e-12)
