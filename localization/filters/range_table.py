@@ -515,9 +515,7 @@ def _compile(sources: int) -> Callable[..., None]:
     ) -> None:  # fmt: skip
         assert sources >= 0
         arrays = compiled.WallArrays(walls, walls, (0.0, 0.0, 0.0))
-        likeliest_echoes(
-            places, ring_in, std, ConeSonarRow(*sonar), arrays, faces, vertices, ranges, probabilities
-        )
+        likeliest_echoes(places, ring_in, std, ConeSonarRow(*sonar), arrays, faces, vertices, ranges, probabilities)
 
     make_compilable([likeliest_echoes, is_in_front])
     run = compile_function(entry)
