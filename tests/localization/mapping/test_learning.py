@@ -22,7 +22,7 @@ from localization.mapping.problem import NO_FEATURE, Sensors
 from localization.mapping.walls import end_derivative
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive
-from worlds.io import format_world, load_world
+from worlds.io import format_world, load_world, parse_world
 from worlds.robots import load_calibration
 from worlds.validate import validate_world
 
@@ -131,9 +131,12 @@ def test_line_along_parts_of_two_walls_becomes_both() -> None:
     assert not len(right.state.points)
     # 1. One line along both is 4 in off over 60 in.
     wrong = _merged(right, fronts[0], fronts[1])
-    assert abs(np.degrees(wrong.state.walls[-1, 0]) + 90.0) > 2.0
-    # 2. Split, they are as before.
+    assert abs(np.degrees(wrong.state.walls[fronts[0], 0]) + 90.0) > 2.0
+    # 2. Split, they are as before, once both maps have converged.
     assert split(wrong) == 1
+    for found in (wrong, right):
+        found.associate()
+        found.optimize(10)
     np.testing.assert_allclose(np.sort(wrong.state.walls[:, 1]), np.sort(right.state.walls[:, 1]), atol=0.05)
     assert split(right) == 0
 
@@ -210,6 +213,14 @@ def test_derivative_of_an_end_agrees_with_differences() -> None:
     assert at_point is not None
     np.testing.assert_allclose(at_point, (0.0, 0.0, 0.0, 0.0, *along))
     assert end_derivative(walls, points, 0, np.array((500.0, 500.0))) is None
+
+
+def test_the_only_wall_of_a_map_can_be_written(room: LearnedMap) -> None:
+    # The best rigid fit leaves nothing of its error.
+    alone = replace(room, walls=(replace(room.walls[0], std_in=0.0),))
+    written = parse_world(format_world(alone.world("room")), "room.toml", "room")
+    (accuracy,) = written.accuracies.values()
+    assert 0.0 < accuracy.offset_std_in < 0.001
 
 
 @pytest.mark.long
