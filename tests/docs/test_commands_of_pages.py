@@ -96,6 +96,9 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
             assert script == "benchmarks/calibration.py"
             assert main.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
         return
+    if command.startswith("nomad "):
+        assert main.whole_parser().parse_args(shlex.split(command)[1:])
+        return
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("disturbed", "live", "lost", "plan"):

@@ -16,7 +16,7 @@ def test_the_protocol_holds_its_invariants_for_2000_steps() -> None:
     run_state_machine_as_test(
         ProtocolMachine,
         settings=settings(
-            max_examples=46, stateful_step_count=50, deadline=None, derandomize=True, database=None,
+            max_examples=55, stateful_step_count=50, deadline=None, derandomize=True, database=None,
             suppress_health_check=list(HealthCheck),
         ),
     )  # fmt: skip
