@@ -399,21 +399,28 @@ def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:
 
 
 class SoundMap:
-    """A map of one wall, 14 in to the left of the robot."""
+    """A map of one wall, 14 in to the left of the robot, measured as far as some distance ahead of it."""
 
-    is_sound, walls = True, np.array([[-60.0, 14.0, 60.0, 14.0]])
+    is_sound = True
+
+    def __init__(self, ahead_in: float) -> None:
+        self.walls = np.array([[-60.0, 14.0, ahead_in, 14.0]])
 
 
-@pytest.mark.parametrize(("axis_rad", "reading_in", "fits"), [
-    (pi / 2.0, 6.0, True),  # the wall itself, which sonars measure as the lower limit
-    (-pi / 2.0, 6.0, False),  # something on the other side, which is not in the map
-    (-pi / 2.0, 9.0, False),
-    (-pi / 2.0, 40.0, True),
+@pytest.mark.parametrize(("axis_rad", "reading_in", "ahead_in", "fits"), [
+    (pi / 2.0, 6.0, 60.0, True),  # the wall itself, which sonars measure as the lower limit
+    (-pi / 2.0, 6.0, 60.0, False),  # something on the other side, which is not in the map
+    (-pi / 2.0, 9.0, 60.0, False),
+    (-pi / 2.0, 40.0, 60.0, True),
+    (pi / 2.0, 6.0, -5.0, False),  # the same wall beyond the part of it that was measured so far
+    (pi / 2.0, 40.0, -5.0, True),  # the end of the wall, with nothing beyond it
 ])  # fmt: skip
-def test_a_map_overrules_readings_only_that_it_explains(axis_rad: float, reading_in: float, fits: bool) -> None:
+def test_a_map_overrules_readings_only_that_it_explains(
+    axis_rad: float, reading_in: float, ahead_in: float, fits: bool
+) -> None:
     measured = SpeedGuard(N150)
     motion = _Motion(WaypointDriver([]), measured, MODEL_LIMITS["n150"], None)
     # The encoders have another frame than the map: moved by (30, -20) and turned by 0.7 rad.
     encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
     measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
-    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap())) is fits
+    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap(ahead_in))) is fits
