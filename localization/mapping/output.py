@@ -24,12 +24,10 @@ from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pos
 from nclient.errors import NomadError
 from worlds.geometry import lengths, nearest_points
 from worlds.robots import Calibration, Spread
-from worlds.world import Polygon, StartPose, WallAccuracy, World
+from worlds.world import Polygon, StartPose, World
 
 DECIMALS: Final = 7
 """Of coordinates in the file: far below the 1e-6 in within which ends touch."""
-LEAST_STD_IN: Final = 1e-4
-"""Least standard deviation of a wall in the file, inches."""
 MIN_EXPLAINED_SOMEWHERE: Final = 0.6
 """The same in any 20 s of the drive, as far as their number tells."""
 MAX_CHI_SQUARE: Final = 1.5
@@ -195,13 +193,7 @@ class LearnedMap:
         walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
         x, y, heading = self.pose.tolist()
         start = StartPose(round(x, 3), round(y, 3), round(heading, 4), round(wrap_angle(heading + self.turret_rad), 4))
-        # A wall without another one beside it is exact after the best rigid fit; the file needs more than 0.
-        accuracies = {
-            row: WallAccuracy(
-                max(round(wall.std_in, 4), LEAST_STD_IN), round(wall.std_rad, 5), round(wall.measured_in, 2)
-            )
-            for row, wall in enumerate(self.walls)
-        }
+        accuracies = {row: wall.accuracy for row, wall in enumerate(self.walls)}
         square = 0.5 * POST_IN * np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
         posts = tuple(
             Polygon(tuple((round(x, 3), round(y, 3)) for x, y in (square + post).tolist()), f"post {number}")

@@ -344,7 +344,7 @@ def _compared(
             is_free[number] = False
             by_in = float(across[number, row])
             found.changes.append(
-                Change("moved", row, walls[row], ends_of[number], by_in, _accuracy(pieces[number]))
+                Change("moved", row, walls[row], ends_of[number], by_in, pieces[number].accuracy)
             )
         elif parts:
             found.parts[row] = parts
@@ -357,14 +357,10 @@ def _compared(
             (found.unchanged if confirmed else found.unseen).append(row)
     # 4. New: what is left.
     found.changes.extend(
-        Change("new", -1, None, ends_of[number], 0.0, _accuracy(pieces[number]))
+        Change("new", -1, None, ends_of[number], 0.0, pieces[number].accuracy)
         for number in np.flatnonzero(is_free).tolist()
     )
     return found
-
-
-def _accuracy(piece: Piece) -> WallAccuracy:
-    return WallAccuracy(round(piece.std_in, 4), round(piece.std_rad, 5), round(piece.measured_in, 2))
 
 
 def _missing_parts(

@@ -30,6 +30,7 @@ from localization.mapping.association import (
 )
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
+from worlds.world import WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
 MIN_CROSSINGS: Final = 2
@@ -70,6 +71,8 @@ ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle make no corner: its position would be uncertain."""
+MIN_STD_IN: Final = 1e-4
+"""Least standard deviation of a wall in a world file: its last decimal."""
 
 
 @dataclass(slots=True)
@@ -108,6 +111,11 @@ class Piece:
     def measured_in(self) -> float:
         """Length from the first to the last reflecting spot, inches."""
         return self.high - self.low
+
+    @property
+    def accuracy(self) -> WallAccuracy:
+        """Accuracy as a world file states it, above 0: after their rigid fit two walls alone have exact offsets."""
+        return WallAccuracy(max(round(self.std_in, 4), MIN_STD_IN), round(self.std_rad, 5), round(self.measured_in, 2))
 
     @property
     def length_in(self) -> float:

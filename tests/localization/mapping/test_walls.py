@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,9 @@ from localization.mapping import association, learn, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import join_points, prune, swallow
+from localization.mapping.output import describe
 from localization.mapping.walls import extract_walls, free_paths, pass_through, uncrossed_spans
+from worlds.io import format_world, load_world
 
 
 @pytest.fixture
@@ -159,3 +163,18 @@ def test_fourth_side_of_a_box_closes_its_outline(estimate: MapEstimate) -> None:
     (fourth,) = (span for span in uncrossed_spans(found, free_paths(found)) if span.closes_outline)
     assert {fourth.one, fourth.other} == {first, first + 3}
     assert fourth.is_wall
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_map_of_one_or_two_walls_is_a_world(estimate: MapEstimate, tmp_path: Path, count: int) -> None:
+    # Few walls fix their own frame: nothing is left of their offsets, and a file states deviations above 0.
+    few = estimate.copy()
+    while len(few.state.walls) > count:
+        few.remove(len(few.state.walls) - 1)
+    few.associate()
+    found = describe(few)
+    assert len(found.walls) == count
+    assert max(wall.std_in for wall in found.walls) < 1e-6
+    file = tmp_path / "few.toml"
+    file.write_text(format_world(found.world("few")))
+    assert load_world(file).accuracies == found.world("few").accuracies
