@@ -243,6 +243,7 @@ class SlipTest:
         before = (1 + self._slips) / (ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND)
         shortened, lengthened = self._rows()
         total = squares = 0.0
+        # Without the last column, the largest.
         for displacement_in, one, other in zip(DISPLACEMENTS_IN, shortened, lengthened, strict=False):
             # A displacement without evidence is none.
             odds = before * expm1(one + other) / len(DISPLACEMENTS_IN)

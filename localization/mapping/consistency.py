@@ -40,8 +40,6 @@ LOOP_NODES: Final = 40
 """A feature that was not measured for 20 s was left: coming back closes a loop."""
 STRETCH_NODES: Final = 40
 """Nodes of a stretch of which the explained ranges are counted: 20 s."""
-
-
 MIN_EXPLAINED: Final = 0.7
 """Least fraction of the ranges that a map must explain."""
 

@@ -477,13 +477,11 @@ class Explorer:
     def _turn_seconds(self, grid: Grid, pose: Floats, goal: npt.NDArray[np.intp]) -> float:
         """Return the time that the turn into the path to a cell takes, backwards if that is the smaller one."""
         width = grid.free.shape[1]
-        cell, ahead = int(goal[0]) * width + int(goal[1]), int(goal[0]) * width + int(goal[1])
-        while (before := int(grid.before[cell])) >= 0:
-            row, column = divmod(before, width)
-            if grid.cost[row, column] < TURN_BASE_IN:
-                break
-            cell = ahead = before
-        place = grid.centres(np.array(divmod(ahead, width))[None])[0]
+        cell = int(goal[0]) * width + int(goal[1])
+        # Back along the path, to the first cell that is far enough to give it a direction.
+        while (before := int(grid.before[cell])) >= 0 and grid.cost[divmod(before, width)] >= TURN_BASE_IN:
+            cell = before
+        place = grid.centres(np.array(divmod(cell, width))[None])[0]
         turn = abs(angle_difference(float(np.arctan2(place[1] - pose[1], place[0] - pose[0])), float(pose[2])))
         return (turn if turn < REVERSE_RAD else np.pi - turn) / TURN_RAD_S
 

@@ -57,7 +57,7 @@ def close_loops(estimate: MapEstimate, first_node: int = 0) -> int:
     for motion in _motions(estimate, pairs)[:MAX_TRIALS]:
         trial = _joined(estimate, motion, begins)
         if trial.cost < estimate.cost - MIN_DIFFERENCE and _are_loops_sound(trial):
-            estimate.state, estimate.assignment, estimate.extents = trial.state, trial.assignment, trial.extents
+            estimate.replace_by(trial)
             return len(motion.pairs)
     return 0
 
@@ -159,12 +159,14 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
     poses[node:, HEADING] += motion.turn
     later = begins >= node
     lines, points = state.walls.copy(), state.points.copy()
-    extents = trial.extents.copy()
+    extents, runs = trial.extents.copy(), trial.runs.copy()
     for number in np.flatnonzero(later[:walls]):
         lines[number, 0] += motion.turn
         normal = np.array((np.cos(lines[number, 0]), np.sin(lines[number, 0])))
         lines[number, 1] += float(normal @ motion.shift)
-        extents[number] += float(motion.shift @ np.array((-normal[1], normal[0])))
+        moved_in = float(motion.shift @ np.array((-normal[1], normal[0])))
+        extents[number] += moved_in
+        runs[runs[:, 0] == number, 1:] += moved_in
     points[later[walls:]] = rotate(points[later[walls:]], np.full(int(later[walls:].sum()), motion.turn)) + motion.shift
     # 2. The echoes of the new features are those of the old ones, which reach as far as both.
     feature = trial.assignment.feature.copy()
@@ -175,7 +177,8 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
             along = np.array((-np.sin(lines[old, 0]), np.cos(lines[old, 0])))
             reached = segments[new] @ along
             extents[old] = min(extents[old, 0], reached.min()), max(extents[old, 1], reached.max())
-    trial.state, trial.extents = replace(state, poses=poses, walls=lines, points=points), extents
+    trial.state = replace(state, poses=poses, walls=lines, points=points)
+    trial.extents, trial.runs = extents, runs
     trial.assignment = replace(trial.assignment, feature=feature)
     for new in sorted(motion.pairs[:, 1].tolist(), reverse=True):
         trial.remove(new)

@@ -108,6 +108,7 @@ def with_unrecognized_lap(estimate: MapEstimate) -> MapEstimate:
         points=np.concatenate((state.points, points)),
     )  # fmt: skip
     found.extents = np.concatenate((estimate.extents, extents))
+    found.runs = np.array([(number, *extent) for number, extent in enumerate(found.extents)])
     numbers = np.where(feature < 0, feature, numbers + np.where(is_second, moved, 0))
     found.assignment = replace(estimate.assignment, feature=numbers, ties=np.empty((0, 2), dtype=np.intp))
     return found
@@ -124,6 +125,10 @@ def test_a_lap_that_was_not_recognized_is_joined_with_the_first(two_laps: MapEst
     middle = len(off) // 2
     assert max(off[: middle - 30].max(), off[middle + 12 :].max()) < 0.6
     assert len(stray.state.walls) == len(two_laps.state.walls)
+    # What blocks paths is of the walls that are left.
+    runs = stray.runs
+    stray.measure_extents()
+    np.testing.assert_allclose(runs, stray.runs, atol=1.0)
 
 
 def test_recognized_laps_stay_as_they_are(two_laps: MapEstimate) -> None:
