@@ -104,7 +104,7 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: WallRows) -> t
 def sort_by_range(rows: list[Any]) -> None:
     """Sort a few rows by their first number, a range, in place; those of equal ranges stay in their order.
 
-    By insertion: `list.sort` takes numba a fifth of the time of the whole function that sorts.
+    By insertion: to compile `list.sort` takes a fifth of the time that numba needs for the functions that sort here.
     """
     for number in range(1, len(rows)):
         row, place = rows[number], number

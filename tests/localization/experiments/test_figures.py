@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from localization.experiments import execution
+from localization.experiments.__main__ import draw, errors, trajectory
 from localization.experiments.figure_trial import FIGURES, Track, figure_setup
 from localization.filters.belief import Floats
 
@@ -33,7 +33,7 @@ def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
 def test_trajectory_plot_has_path_points_truth_and_estimate() -> None:
     figure, track = FIGURES["5.8"], made_up_track()
     course = figure_setup(figure)
-    picture = execution.trajectory(figure, course, track)
+    picture = trajectory(figure, course, track)
     (axes,) = picture.axes
     drawn = lines(picture)
     # An inch is as long in x as in y.
@@ -50,7 +50,7 @@ def test_trajectory_plot_has_path_points_truth_and_estimate() -> None:
 
 def test_plot_without_filter_has_odometry_and_3_sigma() -> None:
     figure = FIGURES["5.2"]
-    drawn = lines(execution.trajectory(figure, figure_setup(figure), made_up_track()))
+    drawn = lines(trajectory(figure, figure_setup(figure), made_up_track()))
     assert "odometry" in drawn
     assert "3 sigma" in drawn
 
@@ -58,7 +58,7 @@ def test_plot_without_filter_has_odometry_and_3_sigma() -> None:
 @pytest.mark.long
 def test_error_plot_is_estimate_minus_truth() -> None:
     track = made_up_track()
-    picture = execution.errors(FIGURES["5.4"], [track, made_up_track(1)], track)
+    picture = errors(FIGURES["5.4"], [track, made_up_track(1)], track)
     assert [axes.get_ylabel() for axes in picture.axes] == ["x (in)", "y (in)", "heading (deg)"]
     for row, scale in enumerate((1.0, 1.0, np.degrees(1.0))):
         expected = scale * (track.mean - track.truth)[:, row]
@@ -73,6 +73,6 @@ def test_error_plot_is_estimate_minus_truth() -> None:
 )
 def test_two_files_are_written_for_a_figure(name: str, files: set[str], tmp_path: Path) -> None:
     figure = FIGURES[name]
-    written = execution.draw(figure, figure_setup(figure), [made_up_track()], tmp_path / "new" / "folder")
+    written = draw(figure, figure_setup(figure), [made_up_track()], tmp_path / "new" / "folder")
     assert {path.name for path in written} == files
     assert all(path.read_bytes().startswith(PNG) for path in written)

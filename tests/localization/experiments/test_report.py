@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from localization.experiments.execution import table
+from localization.experiments.__main__ import table
 from localization.experiments.figure_trial import FIGURES, Summary, figure_setup
 
 
