@@ -26,7 +26,8 @@
 
 Messages name the cause and the remedy. Only nclient.capi converts errors to FALSE and State[44].
 
-Hints in error messages: the most similar word, the extra of a missing module; the version, and entry points.
+The hints in messages are here as well: the most similar word, the extra of a missing module; the version, and entry
+points.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from localization.filters.registry import DEFAULT_METHOD, FINDER, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
 from localization.filters.sonar_ray import RaySonar, ray_sonar
 from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model
-from localization.live.localizer import filter_on_robot
+from localization.live.background_search import filter_on_robot
 from localization.live.run import GroundTruth, Publisher, Run, build_message, run_log
 from localization.live.sensor_input import read_log, without_echo
 from localization.navigation.control_law import ContactDetector, MisfitDetector, PoseSmoother, StallDetector

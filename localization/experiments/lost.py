@@ -45,7 +45,8 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import with_parameters
 from localization.filters.range_table import connected, floor_grid
 from localization.filters.registry import finder
-from localization.live.localizer import Estimate, Localizer, cached_search
+from localization.live.background_search import cached_search
+from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import SensorInput, restart_ring
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.control_law import STAND, TURN_RAD_S, RecoveryBehavior, VelocityCommand, bearing_error

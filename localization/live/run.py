@@ -1,6 +1,6 @@
-"""Record of a run, live or over a log, its results as numbers and text, and the ground truth of simulated robots.
+"""Record of a run, live or over a log: its results, the ground truth of simulated robots, its publication on a page.
 
-Publish a run to the page of an nserver (--publish URL) and receive waypoints set there.
+A run is published to the page of an nserver (--publish URL), which returns waypoints set there.
 
     period ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new waypoints, if n has changed
 

@@ -1,13 +1,11 @@
-"""The control law of the thesis: from an estimated pose to the next small step towards a goal.
+"""The control law of the thesis, its speed limits, and what a robot does that has no estimate.
 
-All functions accept arrays with leading dimensions; numba compiles `step_to` for floats. In the batch experiments the
-limits are inches and radians per step; in live runs a step is made every T seconds, so a limit divided by T is a speed.
+The control law leads from an estimated pose to the next small step towards a goal. All its functions accept arrays with
+leading dimensions; numba compiles `step_to` for floats. In the batch experiments the limits are inches and radians per
+step; in live runs a step is made every T seconds, so a limit divided by T is a speed.
 
-Speed limits: of each robot model, of an uncertain estimate, and of states that arrive too far apart.
-
-Also the velocity command that all controllers return, and the smoother of the pose that they steer by.
-
-Driving without an estimate, and detection of a robot that does not move.
+Speed limits are those of each robot model, of an uncertain estimate, and of states that arrive too far apart. All
+controllers return a VelocityCommand, and steer by a smoothed pose.
 
 RecoveryBehavior turns in place and then drives where the sonars ahead measure free space: poses that look alike from
 one position are distinguished on the path to another. Where the filter states a direction in which they differ, it

@@ -1,4 +1,4 @@
-"""The steps that a mission program can call: go_to, follow, turn, look, wait_for, patrol, dock, note.
+"""A mission: its outcome, and the steps that a program calls: go_to, follow, turn, look, wait_for, patrol, dock, note.
 
     def mission(robot):
         robot.go_to(60, 40, heading_deg=90)
@@ -11,7 +11,7 @@ the mission's, by the fence, or because the robot is lost. Arguments are checked
 exception that ended a mission (MissionOver, Ctrl-C) is stored, and every later step except `note` raises it again, so a
 program that caught it drives no farther.
 
-Outcome of a mission and its steps: exceptions, values, JSON and text.
+The outcome of a mission and its steps is exceptions, values, JSON and text.
 
     StepFailed (NomadError)         a step failed; it may be retried, and a program may catch it
     MissionOver (BaseException)     the mission is over; nothing more is driven

@@ -1,4 +1,4 @@
-"""Drive to goals on an estimate until they are reached or there is a reason to give up.
+"""A robot with its estimate, and a pilot that drives it to goals until there is a reason to give up.
 
     plan ──> follow ──> (obstacle on the path, off the path, too uncertain) ──> plan again
       │        └─ bumper contact ──> stop, back off, plan around the contact; give up after max_touches
@@ -8,13 +8,12 @@ All goals but the last are waypoints that are passed within `within_in`; at the 
 the heading. A pilot has no clock but that of the estimates, and all its waits are limited. An estimate that is LOST
 ends it; recovery is the caller's task.
 
-Settings of a mission, and the checks of the arguments of steps.
+Settings of a mission are here as well. Arguments of a Python program are checked against the types of files
+(worlds.schema), so that both get the same error messages, for example "go_to: x_in: expected a length, a number, found
+the text '15'". All errors are MissionFileError: which step or settings, which argument, what was expected and what was
+found.
 
-Arguments of a Python program are checked against the types of files (worlds.schema), so that both get the same error
-messages, for example "go_to: x_in: expected a length, a number, found the text '15'". All errors are MissionFileError:
-which step or settings, which argument, what was expected and what was found.
-
-A robot with its estimate, one control period at a time: command in, estimate and obstacles out.
+The controller drives one control period at a time: command in, estimate and obstacles out.
 
     period(command):    drive ──> wait for the rest of PERIOD_S ──> refresh ──> localizer ──> obstacles ──> observers
 

@@ -1,9 +1,10 @@
-"""The interface of backends, the base class of their wrappers, and statistics of a link.
+"""The interface of backends, the base class of their wrappers, keep-alive, and statistics of a link.
 
 A backend is one session with one robot: `execute(call)` returns the reply. What wraps a backend (retries, a speed
 limit) is a `Backend` again. Backends are not thread-safe: `Robot` holds a lock.
 
-Keep-alive of the robot's motion timeout (conf_tm): the robot stops if its program dies, not if its program sleeps.
+Keep-alive renews the robot's motion timeout (conf_tm), so that the robot stops if its program dies, not if its program
+sleeps.
 
     connected and in use       gs from a thread, so that the timeout does not expire
     closed                     the thread ends

@@ -1,14 +1,13 @@
-"""Commands of the control socket: a table, and a function for each command. No I/O except for `save`.
+"""The control socket of a server: its commands, the socket, and the options for both.
 
     {"command": "speed", "argument": "10"}   ->   {"ok": true, "said": {...}}   or   {"ok": false, "error": "..."}
 
 One JSON object per line, in each direction. Only the owner of the server can open the socket, so there are no further
 permissions. An invalid request is answered with what is valid, and changes nothing.
 
-The control socket: a Unix socket that only its owner can open, one JSON object per line.
-
-It has mode 0600 before the first client can connect. A socket left by a server that has ended is replaced; the socket
-of a running server, and files that are no sockets, are not touched. It is removed when the server ends.
+Commands are a table, and a function for each; they do no I/O except for `save`. The socket has mode 0600 before the
+first client can connect. A socket left by a server that has ended is replaced; the socket of a running server, and
+files that are no sockets, are not touched. It is removed when the server ends.
 
 The options of `nserver` for injected faults and for control at run time: --faults FILE, --control [PATH].
 """

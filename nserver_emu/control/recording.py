@@ -1,4 +1,6 @@
-"""Recordings of a server: the header, with all that starts the same simulation again, and the replay.
+"""Recordings and saved states of a server: the header, the replay, the options beside them, the file of --save.
+
+The header has all that starts the same simulation again:
 
     header   world, robot, start, others, noise, setup, seed | pace | permissions | snapshot | port
 

@@ -1,4 +1,4 @@
-"""A session on a robot's own serial line, without I/O: bytes in, bytes out (docs/protocol.md, On a serial line).
+"""A session on a robot's own serial line and the channel to its port, without I/O (docs/protocol.md, On a serial line).
 
     receive(bytes) -> framer -> queue -> answer(call, context) -> state packets, replies of get_ commands, NAK
                                                `- deferred (ws, zr, arm): tick() polls until the reply exists
@@ -10,7 +10,7 @@ NAK; bytes that form no frame get no reply, and the host repeats its request.
 A host sends one request at a time. A new request during a deferred reply means that the host gave up on that reply, so
 it is cancelled; `st` therefore works during `ws` (project decision: no source says what the original does).
 
-Channels between a port and its session, without I/O: bytes enter at once and leave when they are due.
+A channel is between a port and its session: bytes enter at once and leave when they are due.
 
     to_robot(bytes, now), to_host(bytes, now) -> arrived(now): what has come through in either direction, in order
 

@@ -1,4 +1,4 @@
-"""A session with one client of Nserver's TCP protocol, without I/O: bytes in, bytes out.
+"""A session with one client of Nserver's TCP protocol, and the identities of clients, without I/O: bytes in and out.
 
     receive(bytes) -> framer -> queue -> answer(call, context) -> process_requests() -> reply bytes
                                                `- deferred (ws, zr): tick() polls until the reply exists
@@ -16,9 +16,7 @@ it starts with CONNECT and, in most cases, the client's word size:
     32-bit client    type, count | word   word   ...
     64-bit client    type, count | 0 word 0 word ...      each word is sent as four zero bytes and its value
 
-Identities of connected clients, for old clients that continue over a second connection without another CONNECT.
-
-Such a client's second connection continues one of the connections from the same address:
+The second connection of such a client, without another CONNECT, continues one of those from the same address:
 
 - one that no other connection continues already, if there are any;
 - of these, one that has sent nothing since its CONNECT but the sensor mask, if there are any.

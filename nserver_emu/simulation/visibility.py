@@ -1,13 +1,12 @@
-"""The positions of other robots as sensors see them: sensor poses, the robots in range, and the nearest on a ray.
+"""Other robots and walls as sensors see them: the robots in range, the nearest on a ray, the walls within a cone.
 
-The positions at an instant are shared by all sensors that look at that instant. They may be computed later than they
-are requested, but before any sensor uses them.
+The positions of robots at an instant are shared by all sensors that look at that instant. They may be computed later
+than they are requested, but before any sensor uses them.
 
-The walls that are visible in the cone of a transducer, in plain numbers (as echo_paths.py).
-
-Walls stand in blocks that have a box in common. A cone looks at the blocks between its sides, the nearest first, with a
-depth buffer: behind a wall that covers a whole sector of the cone nothing is visible. Among a thousand obstacles that
-leaves some twenty walls of 4,000.
+The walls that are visible in the cone of a transducer are computed in plain numbers, as in echo_paths.py. They stand in
+blocks that have a box in common. A cone looks at the blocks between its sides, the nearest first, with a depth buffer:
+behind a wall that covers a whole sector of the cone nothing is visible. Among a thousand obstacles that leaves some
+twenty walls of 4,000.
 """
 
 from __future__ import annotations

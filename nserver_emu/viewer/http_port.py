@@ -1,4 +1,4 @@
-"""HTTP port with limits, and websockets that are sent to and read without waiting: for the page and for rosbridge.
+"""HTTP port with limits and access control, and websockets without waiting: for the page and for rosbridge.
 
 Connections are limited before HTTP is parsed (`HttpAdmission`). A client that receives too slowly skips pictures; the
 messages of clients are handled in turns that all connections of the daemon share.

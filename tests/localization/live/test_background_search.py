@@ -26,16 +26,15 @@ from localization.filters.range_table import DIRECTIONS, build_range_table
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search, update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import RaySonar, ranges_from, wall_map
-from localization.live.localizer import (
+from localization.live.background_search import (
     MAX_CACHED,
     BackgroundSearch,
-    Estimate,
-    Localizer,
     cache_folder,
     cached_search,
     filter_on_robot,
     load_or_build,
 )
+from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
