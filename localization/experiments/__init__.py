@@ -1,8 +1,12 @@
 """Monte Carlo experiments with simulated robots.
 
-figure_trial, results, output   the figures of the thesis, simulated in batches
-live_trial, live                filters compared on live robots
-lost_trial, lost                detection of a lost estimate, and recovery
-plan                            planned and driven paths
-execution                       processes, clusters and cached results, for all of them
+figure_trial, __main__    the figures of the thesis, simulated in batches, and their pictures and tables
+live_trial, live          filters compared on live robots
+disturbed                 a filter with disturbances of robot, map and sonars
+lost                      lost robots: detection, recovery, unknown starts
+plan                      planned and driven paths
+mapping                   maps learned from drives, against the true ones
+corridor                  filters on a log of a real corridor
+baselines                 scores of simple policies in the environments of Gymnasium
+execution                 processes, clusters, cached results and options, for all of them
 """

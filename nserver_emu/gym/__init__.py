@@ -7,8 +7,7 @@
     nserver_emu.gym.parallel_env(robots=4)              several in one world, for PettingZoo
 
 robots          what is driven: a batch, robots of one simulation, a connected robot
-tasks           what is to be done: observations, rewards, the end
-runner          both together, for n robots at once
+tasks           what is to be done: observations, rewards, the end; and its runner, for n robots at once
 environments    the interfaces of Gymnasium, and policies, which drive them
 parallel        the interface of PettingZoo
 

@@ -2,8 +2,8 @@
 
 simulation > multi_robot > robot              which robots may meet
              robot > drive > axis             commanded motion     > segments   the resulting path
-                   > encoders | chassis       reported | true pose > collision  contact and bumpers
-                   > sonar, infrared, laser, compass               > noise, odometry: errors; models: which robot
+                   > odometry, collision      the errors of wheels and encoders; contact and bumpers
+                   > sonar, sensors           what is measured     > noise: errors and setups; models: which robot
 """
 
 import logging
