@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from math import atan2, cos, hypot, pi, sin
 from typing import Any
@@ -221,3 +223,10 @@ def test_wall_follower_keeps_its_distance() -> None:
     done = run_episode(gymnasium.wrappers.TimeLimit(env, 300), WallFollower(), 1, {"start_m": (1.0, 0.3, 0.0)})
     assert done.steps == 300
     assert done.reward > 1.0
+
+
+@pytest.mark.long
+def test_environments_of_gymnasium_need_no_pettingzoo() -> None:
+    program = "import sys; sys.modules['pettingzoo'] = None; import nserver_emu.gym as g; print(g.RobotEnv.__name__)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "RobotEnv\n"), done.stderr
