@@ -58,6 +58,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a script's backgr
 # takes a twelfth of the time of all tests.
 gc.set_threshold(100_000)
 
+
+def pytest_collection_finish() -> None:
+    """Exempt them from every later search."""
+    gc.freeze()
+
+
 os.environ.setdefault("NOMAD_COMPILED", "never")  # the same numbers; importing numba takes every process a second
 
 

@@ -344,16 +344,21 @@ MIN_OBJECTS: Final = 100
 
 @contextmanager
 def rare_collection() -> Iterator[None]:
-    """Exempt all present objects from garbage collection, and raise its threshold, within the block."""
-    threshold = gc.get_threshold()
-    gc.collect()
-    gc.freeze()
+    """Exempt all present objects from garbage collection, and raise its threshold, within the block.
+
+    Objects of a host program that has exempted them itself stay exempt after the block, and no others are.
+    """
+    threshold, is_frozen = gc.get_threshold(), gc.get_freeze_count() > 0
+    if not is_frozen:
+        gc.collect()
+        gc.freeze()
     gc.set_threshold(GC_THRESHOLD)
     try:
         yield
     finally:
         gc.set_threshold(*threshold)
-        gc.unfreeze()
+        if not is_frozen:
+            gc.unfreeze()
 
 
 class GarbageCollector:

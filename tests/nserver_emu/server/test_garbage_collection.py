@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import weakref
+from collections.abc import Iterator
 
 import pytest
 
@@ -22,6 +23,14 @@ from nserver_emu.server.daemon import (
 from tests.nserver_emu.server.running_server import running_server
 
 
+@pytest.fixture
+def unfrozen() -> Iterator[None]:
+    """Exempt nothing, as in a program of its own; later the objects of all tests again."""
+    gc.unfreeze()
+    yield
+    gc.freeze()
+
+
 class Ring:
     """An object in a reference cycle."""
 
@@ -29,6 +38,7 @@ class Ring:
         self.whole = self
 
 
+@pytest.mark.usefixtures("unfrozen")
 def test_present_objects_are_exempt_within_the_block() -> None:
     usual = gc.get_threshold()
     with rare_collection():
@@ -36,6 +46,16 @@ def test_present_objects_are_exempt_within_the_block() -> None:
         assert gc.get_freeze_count() > 0
     assert gc.get_threshold() == usual
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.usefixtures("unfrozen")
+def test_objects_exempt_before_stay_exempt() -> None:
+    gc.freeze()
+    count = gc.get_freeze_count()
+    with rare_collection():
+        assert gc.get_freeze_count() == count
+        assert gc.get_threshold()[0] == GC_THRESHOLD
+    assert gc.get_freeze_count() == count
 
 
 def test_the_daemon_serves_with_rare_collection(monkeypatch: pytest.MonkeyPatch) -> None:
