@@ -463,7 +463,8 @@ def _maxima(poses: Floats, distance_in: float) -> list[Floats]:
     found: list[Floats] = []
     rest = poses
     while len(rest) and len(found) < MAX_PEAKS:
-        peak = rest[0]
+        # A copy: a view would hold all of the rest in memory, 50 MB for 100 peaks.
+        peak = rest[0].copy()
         found.append(peak)
         offset = difference(rest, np.broadcast_to(peak, rest.shape))
         distance = np.hypot(offset[:, 0], offset[:, 1])

@@ -19,6 +19,7 @@ from localization.filters.pose_search import (
     Hypothesis,
     Prior,
     SearchRequest,
+    _maxima,
     advanced,
     informative_turn,
     moved,
@@ -152,6 +153,14 @@ def test_known_hypotheses_keep_their_weights_in_a_new_search() -> None:
     np.testing.assert_allclose(np.array(kept[1:]) / kept[0], np.array(weights[1:]) / weights[0])
     (new,) = (each for each in again if not any(each.belief is one.belief for one in others))
     assert new.probability <= kept[0]
+
+
+def test_peaks_do_not_hold_all_candidates_in_memory() -> None:
+    poses = np.random.default_rng(1).uniform(0.0, 300.0, (200, 3))
+    peaks = _maxima(poses, 5.0)
+    assert len(peaks) > 50
+    assert not any(np.shares_memory(peak, poses) for peak in peaks)
+    assert all(peak.base is None for peak in peaks)
 
 
 def test_the_robot_turns_to_where_hypotheses_differ() -> None:

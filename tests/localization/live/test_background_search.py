@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -252,6 +253,23 @@ def test_worker_ends_with_its_user_in_the_middle_of_its_work(tmp_path: Path) -> 
 
 
 @pytest.mark.long
+def can_import(name: str) -> bool:
+    try:
+        import_module(name)
+    except ImportError:
+        return False
+    return True
+
+
+def test_worker_has_no_scipy_which_numba_would_load(tmp_path: Path) -> None:
+    pytest.importorskip("scipy.linalg")
+    with BackgroundSearch(CONFIG, waits=True, folder=tmp_path) as poses:
+        poses.prepare()
+        assert poses._pool is not None
+        assert poses._pool.submit(can_import, "numpy.linalg").result()
+        assert not poses._pool.submit(can_import, "scipy.linalg").result()
+
+
 def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     belief = independent(START, (0.2, 0.2, 0.01))
