@@ -617,15 +617,15 @@ COMPARED: Final = 8
 """So many of the most probable hypotheses are compared."""
 START_IN, TURN_IN = 36.0, 20.0
 """Costs of any drive, and of a radian of turning before it, in inches of driving."""
-FREE_VALUE: Final = 2e-5
-"""Value of an inch of free way, where no drive separates the hypotheses: much less than that of any difference."""
+BEYOND_IN: Final = 1000.0
+"""Where no expected reading separates the hypotheses, something that does is as far away as this on average."""
 
 
 def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> float | None:
-    """Return the turn (rad) to the straight drive on which expected readings separate the hypotheses soonest.
+    """Return the turn (rad) to the straight drive on which readings are expected to separate the hypotheses soonest.
 
-    The value of a drive is the separation of the hypotheses, from 0 to 1, that it leads to, over its length. Without
-    any the longest free way is chosen.
+    The value of a drive is the information on the hypotheses that its readings are expected to bring, over its length.
+    What is not expected may be beyond: a free way has a small value in any case.
 
     Returns
     -------
@@ -636,28 +636,68 @@ def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> flo
     if len(best) < 2:
         return None
     weights = np.array([each.probability for each in best])
+    weights /= weights.sum()
     poses = np.array([each.belief.mean[:POSE] for each in best])
-    pairs = np.triu(np.outer(weights, weights), 1)
-    sonars = np.arange(0, DIRECTIONS, DIRECTIONS // 24)
+    entropy = -float((weights * np.log(weights)).sum())
+    along = DRIVE_STEP_IN * np.arange(1, DRIVE_STEPS + 1)
     chosen, highest = None, 0.0
-    for turn in (np.arange(TURNS) - TURNS // 2 + 1) * (2.0 * np.pi / TURNS):
-        free = np.ones(len(best), dtype=bool)
-        for step in range(1, DRIVE_STEPS + 1):
-            # 1. The drive ends where most of the robot's possible poses meet a wall.
-            along = DRIVE_STEP_IN * step
-            heading = poses[:, HEADING] + turn
-            x, y = poses[:, 0] + along * np.cos(heading), poses[:, 1] + along * np.sin(heading)
-            free &= table.is_floor(x, y)
-            if not free[0] or weights[free].sum() < 0.5:
-                break
-            # 2. How far the expected readings differ, in cells at most; "nothing" differs from any echo.
-            rows = np.rint(heading * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp)[:, None] + sonars
-            ranges, probability = table.look_up(x[:, None], y[:, None], rows % DIRECTIONS)
-            expected = np.where(probability > 0.5, ranges, NOTHING_IN)
-            apart = np.minimum(np.abs(expected[:, None] - expected[None]) / (4.0 * table.cell_in), 1.0).mean(axis=-1)
-            apart[~free] = apart[:, ~free] = 0.0
-            value = float((pairs * apart).sum() / pairs.sum()) / (START_IN + along + TURN_IN * abs(turn))
-            value += FREE_VALUE * along / (1.0 + abs(turn))
-            if value > highest:
-                chosen, highest = float(turn), value
+    for turn in ((np.arange(TURNS) - TURNS // 2 + 1) * (2.0 * np.pi / TURNS)).tolist():
+        # 1. The drive ends where most of the robot's possible poses meet a wall.
+        heading = poses[:, HEADING] + turn
+        x = poses[:, 0] + along[:, None] * np.cos(heading)
+        y = poses[:, 1] + along[:, None] * np.sin(heading)
+        free = np.logical_and.accumulate(table.is_floor(x.ravel(), y.ravel()).reshape(x.shape))
+        steps = int(np.count_nonzero(free[:, 0] & (free @ weights >= 0.5)))
+        if not steps:
+            continue
+        # 2. The information by all readings up to each point; a hypothesis that meets a wall adds none there.
+        apart = _distances(x[:steps], y[:steps], heading, table)
+        apart *= free[:steps, :, None] & free[:steps, None]
+        nats = _information(weights, np.cumsum(apart, axis=0))
+        # 3. Over the length of the drive.
+        value = nats + (entropy - nats) * along[:steps] / BEYOND_IN
+        value /= START_IN + along[:steps] + TURN_IN * abs(turn)
+        if value.max() > highest:
+            chosen, highest = turn, float(value.max())
     return chosen
+
+
+def _information(weights: Floats, distances: Floats) -> Floats:
+    """Return a lower bound (...) of the information on hypotheses with weights (n,), in nats.
+
+    Parameters
+    ----------
+    distances
+        (..., n, n) Bhattacharyya distances between the readings that the hypotheses expect.
+
+    References
+    ----------
+    Kolchinsky and Tracey, Estimating mixture entropy with pairwise distances (2017), equation 9.
+    """
+    nats: Floats = -np.log(np.exp(-distances) @ weights) @ weights
+    return nats
+
+
+def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -> Floats:
+    """Return the Bhattacharyya distances (k, n, n) between the rings that hypotheses expect at points (k, n) of drives.
+
+    A reading is an echo near the expected range, or any other. A pose is known to a cell, so an echo differs from what
+    another hypothesis expects only as far as it does from that of all neighbouring cells.
+    """
+    sonars = np.arange(0, DIRECTIONS, DIRECTIONS // 24)
+    rows = np.rint(heading * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp)[:, None] + sonars
+    side_in = table.cell_in * table.coarse_cells
+    closest, inlier = np.full((*x_in.shape, x_in.shape[1], len(sonars)), np.inf), 1.0 - OUTLIER_PROBABILITY
+    range_in, probability = table.look_up(x_in[..., None], y_in[..., None], rows % DIRECTIONS)
+    for dx, dy in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
+        beside_in, beside = table.look_up(
+            x_in[..., None] + dx * side_in, y_in[..., None] + dy * side_in, rows % DIRECTIONS
+        )
+        # The overlap of two Gaussians, each as wide as a cell, and of the rest.
+        apart = (range_in[:, :, None] - beside_in[:, None]) / side_in
+        one, other = inlier * probability[:, :, None], inlier * beside[:, None]
+        overlap = np.sqrt(one * other) * np.exp(-np.square(apart) / 8.0) + np.sqrt((1.0 - one) * (1.0 - other))
+        closest = np.minimum(closest, -np.log(overlap))
+    distances: Floats = EVIDENCE_SHARE * closest.sum(axis=-1)
+    least: Floats = np.minimum(distances, np.swapaxes(distances, -1, -2))
+    return least

@@ -19,6 +19,7 @@ from localization.filters.pose_search import (
     Hypothesis,
     Prior,
     SearchRequest,
+    _information,
     _maxima,
     advanced,
     informative_turn,
@@ -176,6 +177,35 @@ def test_the_robot_turns_to_where_hypotheses_differ() -> None:
     # To the left, where the ends are; the heading along the width and those to the right bring none nearer.
     assert 0.4 < turn < math.pi - 0.4
     assert informative_turn(two[:1], table) is None
+
+
+def test_a_niche_is_worth_more_than_a_long_free_way() -> None:
+    """Of two corridors one has a niche, eight feet from the robot; the free way is to the other side."""
+    corridor = [(0.0, 0.0), (600.0, 0.0), (600.0, 60.0), (0.0, 60.0)]
+    niche = [(600.0, 0.0), (600.0, 90.0), (570.0, 90.0), (570.0, 60.0), (0.0, 60.0), (0.0, 0.0)]
+    beside = polygon_segments(niche) + np.array([1000.0, 0.0, 1000.0, 0.0])
+    table = table_of(np.concatenate((polygon_segments(corridor), beside)))
+    poses, weights = [(490.0, 30.0, math.pi), (1490.0, 30.0, math.pi)], (0.85, 0.15)
+    both = [
+        Hypothesis(independent(pose, (0.5, 0.5, 0.02)), weight) for pose, weight in zip(poses, weights, strict=True)
+    ]
+    turn = informative_turn(both, table)
+    assert turn is not None
+    assert abs(turn) > 2.0
+
+
+def test_expected_information_is_a_lower_bound() -> None:
+    """Readings of eight values, exactly: the information is the mean of ln p(z|i) / p(z)."""
+    rng = np.random.default_rng(1)
+    for sharpness in (0.1, 1.0, 5.0):
+        weights, p = rng.dirichlet(np.ones(4)), rng.dirichlet(np.full(8, 1.0 / sharpness), 4)
+        overlap = np.sqrt(p[:, None] * p[None]).sum(axis=-1)
+        exact = float((weights[:, None] * p * np.log(p / (weights @ p))).sum())
+        assert 0.2 * exact < _information(weights, -np.log(overlap)) <= exact
+    # Without any overlap it is the entropy of the weights, and nothing where all expect the same.
+    apart = np.where(np.eye(4), 0.0, 100.0)
+    np.testing.assert_allclose(_information(weights, apart), -(weights * np.log(weights)).sum())
+    np.testing.assert_allclose(_information(weights, np.zeros((4, 4))), 0.0, atol=1e-12)
 
 
 def test_moved_belief_keeps_its_covariance_and_follows_the_encoders() -> None:
