@@ -181,6 +181,8 @@ class LostResult:
         Number of places that look like an unknown start.
     stated
         Each second of an unknown start: the probabilities of the hypotheses, and which was right.
+    unambiguous_s
+        Time until the robot was first at a pose that looks like no other, from an unknown start; None if never.
     """
 
     seconds: float
@@ -192,6 +194,13 @@ class LostResult:
     right: bool = False
     alike: int = 0
     stated: Sequence[Sequence[tuple[float, bool]]] = ()
+    unambiguous_s: float | None = None
+
+    @property
+    def is_early(self) -> bool:
+        """True if the robot was localized before it had been at any pose that looks like no other."""
+        before = self.unambiguous_s is None or (self.found_after_s or 0.0) < self.unambiguous_s
+        return self.found_after_s is not None and before
 
 
 def drive(case: Case) -> LostResult:
@@ -199,6 +208,7 @@ def drive(case: Case) -> LostResult:
     world = load_world(case.world)
     positions, rng = free_positions(world), np.random.default_rng([case.seed, POSITIONS])
     pose, alike = _drawn(positions, rng), list[Floats]()
+    aliases: AliasFinder | None = None
     if case.kind in STARTS:
         # What `nomad map check` says of this start; a wrong door needs another place that looks like it.
         aliases = AliasFinder(world.walls, N150.radius_in, [(start.x_in, start.y_in) for start in world.starts])
@@ -208,18 +218,19 @@ def drive(case: Case) -> LostResult:
             if alike := aliases.aliases(_pose(pose)):
                 break
     with simulated_robot(case.world, case.scenario, case.seed, pose) as robot:
-        run = _Run(robot, case, world, positions, pose, alike)
+        run = _Run(robot, case, world, positions, pose, alike, aliases)
         result = run.drive()
-    return replace(result, alike=len(alike), stated=run.stated)
+    return replace(result, alike=len(alike), stated=run.stated, unambiguous_s=run.unambiguous_s)
 
 
 class _Run:
     """A run in progress."""
 
     def __init__(
-        self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats]
-    ) -> None:
-        self._robot, self._case, self._positions = robot, case, positions
+        self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats],
+        aliases: AliasFinder | None,
+    ) -> None:  # fmt: skip
+        self._robot, self._case, self._positions, self._aliases = robot, case, positions, aliases
         schedule, state = restart_ring(robot, N150.ring)
         assert state.clock_s is not None
         # 1. Firing schedule: the clock of this reply is that of the first sonar.
@@ -248,6 +259,7 @@ class _Run:
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
         self.stated: list[list[tuple[float, bool]]] = []
+        self.unambiguous_s: float | None = None
         self._periods = 0
         self._truth = _pose(pose)
         self._now_s = 0.0
@@ -329,9 +341,13 @@ class _Run:
         return self._outcome(lost_after_s)
 
     def _note(self, estimate: Estimate) -> None:
-        """Record the probabilities that are stated, once a second."""
+        """Record the probabilities that are stated, and whether the robot's place is unambiguous, once a second."""
         self._periods += 1
-        if self._periods % round(1.0 / PERIOD_S) == 0 and estimate.places:
+        if self._periods % round(1.0 / PERIOD_S):
+            return
+        if self.unambiguous_s is None and self._aliases and not self._aliases.aliases(self._truth):
+            self.unambiguous_s = self._now_s
+        if estimate.places:
             self.stated.append([
                 (round(place.probability, 4), _is_right(place.belief.mean, self._truth)) for place in estimate.places
             ])  # fmt: skip
@@ -432,6 +448,8 @@ class LostSummary(TypedDict):
         Number of runs with a correct and with a wrong recovery.
     alike, unique_found
         Number of unknown starts that look like other places of the map, and correct recoveries from the others.
+    early
+        Number of recoveries before the robot had been at any pose that looks like no other.
     brier
         Mean Brier score of the probabilities that are stated meanwhile, 0 (certain and right) to 2.
     brier_expected
@@ -457,6 +475,7 @@ class LostSummary(TypedDict):
     found_s: tuple[float, float] | None
     alike: int | None
     unique_found: int | None
+    early: int | None
     brier: float | None
     brier_expected: float | None
     reliability: list[tuple[float, float, int]]
@@ -494,6 +513,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         found_s=None,
         alike=None,
         unique_found=None,
+        early=None,
         brier=None,
         brier_expected=None,
         reliability=[],
@@ -507,6 +527,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         unique = [result for result in results if not result.alike]
         summary["alike"] = len(results) - len(unique)
         summary["unique_found"] = sum(result.found_after_s is not None and result.right for result in unique)
+        summary["early"] = sum(result.is_early for result in results)
         stated = [instant for result in results for instant in result.stated]
         summary["brier"], summary["brier_expected"] = brier_score(stated), expected_brier_score(stated)
         summary["reliability"] = reliability(stated)
@@ -617,6 +638,7 @@ def words(summary: LostSummary) -> str:
             f"  starts that look like other places: {summary['alike']}; localized correctly within {START_LIMIT_S:g} s "
             f"of the other {summary['runs'] - summary['alike']}: {summary['unique_found']}"
         )
+        lines.append(f"  OK before an unambiguous place: {summary['early']} of {summary['runs']}")
     if summary["brier"] is not None:
         rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary["reliability"])
         lines.append(

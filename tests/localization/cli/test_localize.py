@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from localization.cli import localize as localization_cli
@@ -194,6 +195,24 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert (result["reached"], result["trust"], len(result["places"])) == (1, "OK", 1)
     assert 0.0 < result["lost_share"] < 0.9
     assert result["rmse_position_in"] < 0.5
+
+
+def test_places_that_look_like_the_start_are_listed_beside_its_status(capsys: pytest.CaptureFixture[str]) -> None:
+    """Between equal doors on either side of a corridor, with a deviation that covers no other."""
+    robot = "sim:corridor?setup=measured&seed=1&start=787.4,39.4,0,0"
+    start = ["--start", "787.4,39.4,0", "--start-std", "2,2,3", "--waypoints", "860,39", "--time-limit", "1"]
+    assert localize(robot, "--method", "finder", *start, "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["trust"] == "OK"
+    own, *others = result["places"]
+    assert own["share"] > 0.9
+    assert own["pose"][0] == pytest.approx(787.4, abs=10.0)
+    # Doors are 156 in apart.
+    apart = [(other["pose"][0] - own["pose"][0]) / 156.0 for other in others]
+    assert len(apart) >= 2
+    np.testing.assert_allclose(apart, np.round(apart), atol=0.05)
+    assert localize(robot, "--method", "finder", *start) == 3
+    assert "looks like (" in capsys.readouterr().out
 
 
 @pytest.mark.long

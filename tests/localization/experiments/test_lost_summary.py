@@ -46,6 +46,17 @@ def test_kidnapping_summary_counts_alarms_and_recoveries() -> None:
     assert "correct recoveries: 2 (median 9.0 s, at most 9.0 s); wrong recoveries: 1" in text
 
 
+def test_ok_before_any_unambiguous_place_is_counted() -> None:
+    times = [(10.0, 4.0), (10.0, 10.0), (10.0, 11.0), (10.0, None), (None, 5.0), (None, None)]
+    (found,) = summaries({
+        case(Kind.WRONG_DOOR, seed): LostResult(60.0, 0, 0.0, None, None, ok_s, True, 3, (), unambiguous_s)
+        for seed, (ok_s, unambiguous_s) in enumerate(times)
+    })
+    # The third and the fourth.
+    assert found["early"] == 2
+    assert "OK before an unambiguous place: 2 of 6" in words(found)
+
+
 def test_summary_without_recoveries_has_no_times() -> None:
     (found,) = summaries({case(Kind.UNKNOWN_START, 0): LostResult(90.0, 0, 0.0, None)})
     assert found["found"] == 0
