@@ -205,7 +205,7 @@ def _explain(failure: msgspec.ValidationError, value: Any, kind: Any, key: str) 
 def _complain(kind: Any, value: Any, parts: list[str]) -> InvalidValue:
     """Return the error for the part of a value that differs from its schema; the key is relative to that part."""
     # 1. Walk to the part.
-    (root,), definitions = msgspec.json.schema_components([kind])
+    root, definitions = _schema_of(kind)
     node, parent = _resolve(root, value, definitions), {}
     for part in parts:
         child, value = _enter(node, value, part)
@@ -229,6 +229,13 @@ def _complain(kind: Any, value: Any, parts: list[str]) -> InvalidValue:
         return InvalidValue(f"expected tables under [[{name}]], each with its double brackets, found {found}")
     hint = node.get("x-hint", "") if _is_number(value) and _is_finite(value) else ""
     return InvalidValue(f"expected {_expected(node, value)}, found {found}{hint}")
+
+
+@functools.lru_cache(maxsize=64)
+def _schema_of(kind: Any) -> tuple[Node, dict[str, Node]]:
+    """Return the schema of a type, and those that it refers to: some milliseconds of work for a large type."""
+    (root,), definitions = msgspec.json.schema_components([kind])
+    return root, definitions
 
 
 def _complain_keys(node: Node, value: dict[str, Any]) -> InvalidValue:
