@@ -17,7 +17,7 @@ TESTS = Path(__file__).parents[1]
 
 def pytest_on(address: str, wanted: str, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--robot", address, "-k", wanted, *words]
-    places = [str(TESTS / name) for name in ("hardware", "worlds")]
+    places = [str(TESTS / name) for name in ("hardware", "programs")]
     return subprocess.run([*command, *places], capture_output=True, text=True, check=False, timeout=120)
 
 

@@ -47,7 +47,7 @@ def test_every_command_that_drives_refuses_another_body(words: list[str], capsys
 
 
 def test_calibrate_writes_the_robots_own_name(tmp_path: Path) -> None:
-    quick = ["--laps", "1", "--square", "5,5,12", "--spins", "0", "--speed", "24", "--turn-speed", "90"]
+    quick = ["--laps", "1", "--square", "4,4,3", "--spins", "0", "--speed", "24", "--turn-speed", "90"]
     words = ["--world", "thesis_room", *quick, "--out", f"{tmp_path}/found.toml"]
-    assert main(["calibrate", "sim:thesis_room?robot=n200&start=3,3", *words]) == 0
+    assert main(["calibrate", "sim:thesis_room?robot=n200&start=4,4", *words]) == 0
     assert 'name = "n200"' in (tmp_path / "found.toml").read_text()

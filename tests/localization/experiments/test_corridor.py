@@ -159,7 +159,7 @@ def real() -> tuple[corridor.Corridor, np.ndarray]:
 @pytest.mark.parametrize("name", corridor.CASES)
 def test_the_filter_is_right_and_knows_it(real: tuple[corridor.Corridor, np.ndarray], name: str) -> None:
     part, walls = real
-    runs = [corridor.run_seed(part, walls, corridor.CASES[name], seed, "ekf") for seed in range(20)]
+    runs = [corridor.run_seed(part, walls, corridor.CASES[name], seed, "ekf") for seed in range(10)]
     found = corridor.score(runs, walls)
     assert found.across_mm <= 40.0
     assert found.nees_across <= 2.0
@@ -185,11 +185,12 @@ def simulated(part: corridor.Corridor, walls: np.ndarray, model: Polaroid, seed:
 
 
 @real_data
+@pytest.mark.long
 def test_the_setup_building_has_the_residuals_of_the_corridor(real: tuple[corridor.Corridor, np.ndarray]) -> None:
     part, walls = real
     measured = residual_statistics(part.echoes(), walls, part.body)
     found = []
-    for seed in range(20):
+    for seed in range(8):
         echoes = simulated(part, walls, MODEL, seed)
         fitted = fit_walls(echoes, corridor.SIDES, part.body, corridor.WALL_RANGE_IN)
         found.append(residual_statistics(echoes, fitted, part.body))

@@ -37,14 +37,14 @@ def reading(sonar: RaySonar | ConeSonar, pose: np.ndarray, number: int) -> float
 
 
 def driven(method: str, sonar: RaySonar | ConeSonar, offset_in: float, scale: float, seed: int) -> tuple[float, float]:
-    """Turn once on the spot and drive an inch a ring; return the largest position error and the mean NEES."""
+    """Turn once on the spot and drive two inches a ring; return the largest position error and the mean NEES."""
     rng, truth = np.random.default_rng(seed), START.copy()
     config = LocalizationConfig(WORLD.walls, N150, QUIET, sonar)
     guess = START + rng.standard_normal(3) * STD
     kalman = make(method, config, independent(guess, STD))
     errors, covs = [], []
-    for k in range(640):
-        step = np.array([0.0, 2.0 * np.pi / 320.0]) if k < 320 else np.array([0.0625, 0.0])
+    for k in range(320):
+        step = np.array([0.0, 2.0 * np.pi / 160.0]) if k < 160 else np.array([0.125, 0.0])
         spread = np.sqrt([QUIET.translation_std**2 * step[0], QUIET.rotation_std**2 * step[1]])
         truth = move(truth, step + spread * rng.standard_normal(2))
         kalman.predict(*step.tolist())
@@ -54,13 +54,13 @@ def driven(method: str, sonar: RaySonar | ConeSonar, offset_in: float, scale: fl
         kalman.update(k % 16, 0.0, range_in)
         errors.append(difference(kalman.belief.mean[:3], truth))
         covs.append(kalman.belief.cov[:3, :3])
-    late = np.array(errors[160:])
-    return float(np.hypot(*late[:, :2].T).max()), float(nees(late, np.array(covs[160:])).mean())
+    late = np.array(errors[80:])
+    return float(np.hypot(*late[:, :2].T).max()), float(nees(late, np.array(covs[80:])).mean())
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("offset_in", "scale"), [(-1.0, 0.0), (-0.5, 0.0), (0.5, 0.0), (1.0, 0.0), (0.0, 0.02), (0.0, -0.02)]
+    ("offset_in", "scale"), [(-1.0, 0.0), (0.5, 0.0), (0.0, 0.02), (0.0, -0.02)]
 )
 @pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeSonar()])
 def test_biased_readings_do_not_displace_the_robot(sonar: RaySonar | ConeSonar, offset_in: float, scale: float) -> None:

@@ -372,6 +372,7 @@ def test_drive_is_recorded_as_one_connection(address: str, expected: str) -> Non
     assert recorded_address(options, Path("room.toml")) == (expected, Path("room.log"))
 
 
+@pytest.mark.long
 def test_a_person_drives_over_a_socket(tmp_path: Path) -> None:
     record = tmp_path / "room.log"
     with Forked("nserver", "thesis_room", "--port", "0", "--setup", "measured", "--speed", "4") as server:

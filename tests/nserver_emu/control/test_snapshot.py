@@ -132,12 +132,12 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
 
     def replies_of(emulator: Emulator, clients: list[WireClient]) -> list[object]:
         replies: list[object] = []
-        for number in range(12):
+        for number in range(6):
             emulator.pass_time(0.23)
             for robot_id, client in enumerate(clients, start=1):
                 names = ("gs", "get_cp", "get_ir", "get_sn", "get_ls", "get_bp", "sim_truth")
                 replies += [client.ask(name) for name in names] + [emulator.layers(robot_id)]
-            if number == 6:
+            if number == 3:
                 clients[2].ask("vm", -80, 50, 0)
             arm = emulator.arms[2]
             replies += [arm.lift.position_in, arm.grip.position_in, arm.is_still()]

@@ -88,7 +88,7 @@ def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -
     return sorted(found)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
     rng = np.random.default_rng(seed)
     # Seven walls of 80 in at random; none within an inch of the ring.

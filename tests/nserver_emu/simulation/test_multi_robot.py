@@ -231,7 +231,7 @@ def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
             robot.advance_to((tick + 1) * TICK_PS)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_advancing_pairs_equals_advancing_all_by_ticks(room: World, seed: int) -> None:
     """To the bit it cannot be: a path that is not cut at ticks sums up otherwise, and a contact is solved to 1e-10."""
     touched = 0
@@ -415,9 +415,9 @@ def test_distant_or_standing_robots_change_no_random_draws(room: World) -> None:
 
 
 def test_near_moving_robots_change_draws_but_not_their_spread(room: World) -> None:
-    alone = np.array([strayed(room, seed) for seed in range(120)])
-    near_another = np.array([strayed(room, seed, BESIDE, speed=0.5) for seed in range(120)])
-    assert (alone != near_another).any(axis=1).sum() > 20
+    alone = np.array([strayed(room, seed) for seed in range(60)])
+    near_another = np.array([strayed(room, seed, BESIDE, speed=0.5) for seed in range(60)])
+    assert (alone != near_another).any(axis=1).sum() > 10
     spread = alone.std(axis=0)
     assert np.abs(near_another.mean(axis=0) - alone.mean(axis=0)).max() < 4.0 * spread.max() * (2.0 / 60) ** 0.5
     assert near_another.std(axis=0) / spread == pytest.approx(1.0, abs=4.0 / 60**0.5)
