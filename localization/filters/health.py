@@ -112,7 +112,11 @@ MAX_NATS_OF_ONE_SIDE: Final = 4.0
 ALLOWANCE_NATS: Final = 0.1
 """Each reading takes away so much: innovations are correlated."""
 ROUNDS_PER_SLIP: Final = 600.0
-"""Wheels that roll freely slip once in so many rounds of the ring, of a second each."""
+"""Wheels that roll freely slip once in so many rounds of the ring, of a second each: the mean over all floors."""
+SLIP_RATE_SHAPE: Final = 0.1
+"""Shape of the gamma distribution of the rate of slips, whose relative standard deviation is 1 / sqrt(shape), 3.2: on
+most floors wheels hardly ever slip, on some every few seconds. With the shape 1 (an exponential distribution) a dozen
+slips in two minutes leave a rate of a sixth of theirs, with 0.1 of two thirds."""
 READINGS_PER_ROUND: Final = 16
 MAX_SLIP_PROBABILITY: Final = 0.5
 """Beyond this the estimate is DEGRADED: the wheels have more probably slipped than not."""
@@ -168,8 +172,9 @@ class SlipTest:
     largest sum decides. Bad readings agree on no displacement.
 
     The mean of the ratios over the displacements, times the odds of a slip in a round of the ring, are its odds after
-    the readings. Slips are a Poisson process: their rate has a gamma distribution of which one slip in ROUNDS_PER_SLIP
-    is the mean before the first reading, and (1 + slips) / (ROUNDS_PER_SLIP + rounds) later.
+    the readings. Slips are a Poisson process: their rate has a gamma distribution of the shape k = SLIP_RATE_SHAPE, of
+    which one slip in ROUNDS_PER_SLIP is the mean before the first reading, and (k + slips) / (k ROUNDS_PER_SLIP +
+    rounds) later.
 
     Parameters
     ----------
@@ -240,7 +245,8 @@ class SlipTest:
 
     def _odds(self) -> tuple[float, float]:
         """Return `slipped` of sums that are not all 0."""
-        before = (1 + self._slips) / (ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND)
+        rounds = SLIP_RATE_SHAPE * ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND
+        before = (SLIP_RATE_SHAPE + self._slips) / rounds
         shortened, lengthened = self._rows()
         total = squares = 0.0
         # Without the last column, the largest.

@@ -18,6 +18,7 @@ from localization.filters.health import (
     MAX_SIDE_NATS,
     MAX_SLIP_PROBABILITY,
     ROUNDS_PER_SLIP,
+    SLIP_RATE_SHAPE,
     HealthLimits,
     HealthStatus,
     IntegrityMonitor,
@@ -223,7 +224,8 @@ def test_probability_of_a_slip_is_by_bayes_rule() -> None:
         for innovation, slope in zip(innovations, slopes, strict=True):
             gain = min(densities_ratio(innovation, std, slope * displacement), MAX_GAIN_NATS) - ALLOWANCE_NATS
             nats = min(max(0.0, nats + gain), MAX_SIDE_NATS)
-        weights.append((exp(nats) - 1.0) / len(DISPLACEMENTS_IN) / (ROUNDS_PER_SLIP + 3 / 16))
+        before = SLIP_RATE_SHAPE / (SLIP_RATE_SHAPE * ROUNDS_PER_SLIP + 3 / 16)
+        weights.append((exp(nats) - 1.0) / len(DISPLACEMENTS_IN) * before)
     posterior = np.array(weights) / (1.0 + sum(weights))
     probability, squared_in2 = test.slipped
     assert probability == pytest.approx(posterior.sum())
@@ -242,10 +244,16 @@ def test_wheels_that_slipped_are_expected_to_slip_again() -> None:
     for _ in range(int(16 * rounds) - 1):
         test.add(0.0, 0.0, 1.0)
     test.add(1.9, 3.61, 1.0)
-    rates = np.linspace(0.0, 1.0, 200_001)
-    weights = gamma.pdf(rates, 1.0, scale=1.0 / ROUNDS_PER_SLIP) * poisson.pmf(slips, rates * rounds)
+    # Mean 1 / ROUNDS_PER_SLIP, whatever the shape; its density is infinite at 0.
+    rates = np.linspace(0.0, 1.0, 200_001)[1:]
+    prior = gamma(SLIP_RATE_SHAPE, scale=1.0 / (SLIP_RATE_SHAPE * ROUNDS_PER_SLIP))
+    assert prior.mean() == pytest.approx(1.0 / ROUNDS_PER_SLIP)
+    weights = prior.pdf(rates) * poisson.pmf(slips, rates * rounds)
     alone = SlipTest()
     alone.add(1.9, 3.61, 1.0)
     # The same reading, at the rate learned and at the first.
     odds, first = (p / (1.0 - p) for p in (test.slipped[0], alone.slipped[0]))
-    assert odds / first == pytest.approx((weights @ rates) / weights.sum() * (ROUNDS_PER_SLIP + 1 / 16), rel=1e-4)
+    before = (weights @ rates) / weights.sum()
+    assert odds / first == pytest.approx(before * (ROUNDS_PER_SLIP + 1 / 16 / SLIP_RATE_SHAPE), rel=1e-4)
+    # Four slips in two minutes, one in 30 rounds: the rate is that within a factor of two.
+    assert 1 / 60 < before < 1 / 30
