@@ -27,8 +27,8 @@ from localization.filters.update import DirectModel, Outcome
 from worlds import compiled, raycast
 from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path, write_mark
 
-ENCODERS: Final = 5
-"""Elements of `base.EncoderRow`."""
+ENCODERS, ECHO, OUTCOME = 5, 3, 6
+"""Elements of `base.EncoderRow`, of `base.NewEcho`, and of `update.Outcome`."""
 _log = logging.getLogger(__name__)
 
 # What compiled code reads of the classes of the same name.
@@ -60,11 +60,19 @@ class ListedWalls(NamedTuple):
     rows: Any
 
 
+class PackedWalls(NamedTuple):
+    """`WallArrays` whose rows compiled code reads one by one, without a list: quicker where few rays are cast."""
+
+    segments: Floats
+    lines: Floats
+    middle: tuple[float, float, float]
+
+
 class RayArrays(NamedTuple):
     """A `RayModel`."""
 
     noise: Any
-    walls: WallArrays
+    walls: PackedWalls
     gate: Any
     threshold: float
     mounts: Floats
@@ -75,7 +83,7 @@ class ConeArrays(NamedTuple):
     """A `ConeModel`."""
 
     noise: Any
-    walls: WallArrays
+    walls: PackedWalls
     faces: Floats
     vertices: Floats
     mounts: Floats
@@ -87,34 +95,70 @@ def row_of(row: Any, record: object) -> Any:
     return row(*(float(getattr(record, name)) for name in row._fields))
 
 
-def _arguments(model: Any) -> tuple[Any, ...]:
-    """Return a model of rays or cones in plain tuples and arrays: see `_ray_model`, `_cone_model`.
+# A call of compiled code takes most of its time for its arguments: a tuple of five numbers costs as much as two arrays
+# of any size, a named tuple several times as much. So all that stays from call to call is one array.
 
-    A call of compiled code takes most of its time for its arguments, and several times as long for a named tuple.
+
+def pack_model(noise: OdometryNoise, model: Any) -> Floats:
+    """Return the noise of the odometry and a model in one array, which `_ray_model` or `_cone_model` unpacks.
+
+    Named tuples stand in it as they are, arrays of rows after their number of rows.
     """
-    walls, mounts = model.walls, np.array(model.mounts)
-    common = (walls.middle, walls.segments, walls.lines, mounts, model.range_parameters)
+    walls = model.walls
     if isinstance(model, RayModel):
-        sonar, gate = row_of(RaySonarRow, model.noise), row_of(GateRow, model.gate)
-        return tuple(sonar), *common, tuple(gate), model.threshold
-    faces, vertices = np.array(model.faces).reshape(-1, 5), np.array(model.vertices).reshape(-1, 3)
-    return tuple(row_of(ConeSonarRow, model.noise)), *common, faces, vertices
+        sonar = row_of(RaySonarRow, model.noise)
+        rest = [*row_of(GateRow, model.gate), model.threshold]
+    else:
+        sonar, rest = row_of(ConeSonarRow, model.noise), [*_packed(model.faces), *_packed(model.vertices)]
+    walls = [*walls.middle, *_packed(walls.segments), *_packed(walls.lines)]
+    shared = *_packed(model.mounts), model.range_parameters
+    return np.array([*row_of(NoiseRow, noise), *sonar, *walls, *shared, *rest], dtype=np.float64)
 
 
-def _ray_model(
-    sonar: Any, middle: Any, segments: Any, lines: Any, mounts: Any, parameters: int, gate: Any, threshold: float
-) -> RayArrays:
-    """Return a model from its parts, in compiled code."""
-    walls = WallArrays(segments, lines, middle)
-    return RayArrays(RaySonarRow(*sonar), walls, GateRow(*gate), threshold, mounts, parameters)
+def _packed(rows: Sequence[Sequence[float]] | Floats) -> list[float]:
+    """Return the number of rows, and all their elements."""
+    return [len(rows), *(number for row in rows for number in row)]
 
 
-def _cone_model(
-    sonar: Any, middle: Any, segments: Any, lines: Any, mounts: Any, parameters: int, faces: Any, vertices: Any
-) -> ConeArrays:
-    """Return a model from its parts, in compiled code."""
-    walls = WallArrays(segments, lines, middle)
-    return ConeArrays(ConeSonarRow(*sonar), walls, faces, vertices, mounts, parameters)
+def _first(count: int, numbers: Floats) -> tuple[float, ...]:
+    """Return so many elements as a tuple, in compiled code: `load` gives numba its form."""
+    return tuple(numbers[:count].tolist())
+
+
+def _unpack_rows(columns: int, numbers: Any) -> tuple[Any, Any]:
+    """Return the rows at the beginning of an array, and what follows them: see `_packed`."""
+    rows = int(numbers[0])
+    end = 1 + rows * columns
+    return numbers[1:end].reshape((rows, columns)), numbers[end:]
+
+
+_ODOMETRY, _MIDDLE, _GATE = len(NoiseRow._fields), 3, len(GateRow._fields)
+_RAY, _CONE = len(RaySonarRow._fields), len(ConeSonarRow._fields)
+
+
+def _unpack_walls(numbers: Any) -> tuple[PackedWalls, Any, int, Any]:
+    """Return walls, mounts and range parameters, which follow one another, and what follows them."""
+    middle_x, middle_y, half_in = _first(_MIDDLE, numbers)
+    segments, numbers = _unpack_rows(4, numbers[_MIDDLE:])
+    lines, numbers = _unpack_rows(3, numbers)
+    mounts, numbers = _unpack_rows(3, numbers)
+    return PackedWalls(segments, lines, (middle_x, middle_y, half_in)), mounts, int(numbers[0]), numbers[1:]
+
+
+def _ray_model(numbers: Any) -> RayArrays:
+    """Return the model of rays from `pack_model`, in compiled code."""
+    sonar = RaySonarRow(*_first(_RAY, numbers[_ODOMETRY:]))
+    walls, mounts, parameters, numbers = _unpack_walls(numbers[_ODOMETRY + _RAY :])
+    return RayArrays(sonar, walls, GateRow(*_first(_GATE, numbers)), numbers[_GATE], mounts, parameters)
+
+
+def _cone_model(numbers: Any) -> ConeArrays:
+    """Return the model of cones from `pack_model`, in compiled code."""
+    sonar = ConeSonarRow(*_first(_CONE, numbers[_ODOMETRY:]))
+    walls, mounts, parameters, numbers = _unpack_walls(numbers[_ODOMETRY + _CONE :])
+    faces, numbers = _unpack_rows(5, numbers)
+    vertices, _ = _unpack_rows(3, numbers)
+    return ConeArrays(sonar, walls, faces, vertices, mounts, parameters)
 
 
 # Compiling.
@@ -129,21 +173,31 @@ def _wall_rows(walls: Any) -> Any:
     return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
 
 
+def _each_wall_row(walls: Any) -> Any:
+    segments = walls.segments
+    for k in range(len(segments)):
+        yield segments[k, 0], segments[k, 1], segments[k, 2], segments[k, 3]
+
+
 def _listed_rows(walls: Any) -> Any:
     return walls.rows
 
 
 def _form_of_rows(walls: Any) -> Callable[..., Any]:
     """Return the form of `wall_rows` for a type of walls."""
+    if walls.instance_class is PackedWalls:
+        return _each_wall_row
     return _listed_rows if "rows" in walls.fields else _wall_rows
 
 
 def _rows_of_five(rows: Any) -> Any:
-    return [(row[0], row[1], row[2], row[3], row[4]) for row in rows]
+    for k in range(len(rows)):
+        yield rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4]
 
 
 def _rows_of_three(rows: Any) -> Any:
-    return [(row[0], row[1], row[2]) for row in rows]
+    for k in range(len(rows)):
+        yield rows[k, 0], rows[k, 1], rows[k, 2]
 
 
 def _same_rows(rows: Any) -> Any:
@@ -198,6 +252,13 @@ def load() -> bool:
         else:
             of_type = _same(form)
         numba.extending.overload(function, strict=False)(of_type)
+    from numba.np.unsafe import ndarray
+
+    # The number of elements is part of the type of a tuple: a literal. numba wants a form without annotations.
+    to_tuple: Any = ndarray.to_fixed_tuple
+    numba.extending.overload(_first, prefer_literal=True)(
+        lambda count, numbers: lambda count, numbers: to_tuple(numbers, count)  # noqa: ARG005
+    )
     return True
 
 
@@ -218,7 +279,7 @@ def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome
 
 
 @cache
-def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., list[Outcome]]:
+def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., None]:
     """Return the loop over a ring with this update: compiled when called first, or loaded from the cache."""
     assemble = _ray_model if correct is sonar_ray.update_by_ray else _cone_model
 
@@ -226,29 +287,40 @@ def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]
     sources = source_checksum(loop)
 
     def filter_ring(
-        x: Any, P: Any, used: Any, slip_sums: Any, encoders: Any, poses: Any, echoes: Any, noise: Any, *parts: Any
-    ) -> list[Outcome]:
+        x: Any, P: Any, used: Any, slip_sums: Any, drive: Any, count: int, outcomes: Any, numbers: Any
+    ) -> None:
         assert sources >= 0
-        model = assemble(*parts)
-        return loop(x, P, used, slip_sums, encoders, poses, echoes, NoiseRow(*noise), model, correct)
+        noise, model = NoiseRow(*_first(_ODOMETRY, numbers)), assemble(numbers)
+        # 1. The encoders, `count` poses, and the echoes, one after another in `drive`.
+        encoders = _first(ENCODERS, drive)
+        end = ENCODERS + ENCODERS * count
+        poses, echoes = drive[ENCODERS:end].reshape((count, ENCODERS)), drive[end:].reshape((len(outcomes), ECHO))
+        # 2. The outcomes in an array: a list would take longer to return than a ring to filter.
+        results = loop(x, P, used, slip_sums, encoders, poses, echoes, noise, model, correct)
+        for k, (refusal, innovation, nis, outlier_probability, likelihood, slope) in enumerate(results):
+            row = outcomes[k]
+            row[0], row[1], row[2] = refusal, innovation, nis
+            row[3], row[4], row[5] = outlier_probability, likelihood, slope
 
-    make_compilable([loop, assemble])
+    make_compilable([loop, assemble, _unpack_walls, _unpack_rows])
     return compile_function(filter_ring)
 
 
 @cache
-def _compile_prediction(widen: Callable[..., None]) -> Callable[..., tuple[Floats, Floats]]:
+def _compile_prediction(widen: Callable[..., None]) -> Callable[..., None]:
     """Return the prediction that is reported, without changing x and P: compiled when called first, or loaded."""
     sources, prediction = source_checksum(widen), odometry.predict_state
 
     def predicted(
-        x: Any, P: Any, size: int, distance: float, turn: float, noise: Any, nis_ratio: float, lag: Any, scale: float,
-        middle: Any, slipped: float,
-    ) -> tuple[Floats, Floats]:  # fmt: skip
+        x: Any, P: Any, mean: Any, cov: Any, distance: float, turn: float, nis_ratio: float, along: float,
+        of_heading: float, scale: float, middle_x: float, middle_y: float, slipped: float, numbers: Any,
+    ) -> None:  # fmt: skip
         assert sources >= 0
-        x, P = x[:size].copy(), P[:size, :size].copy()
-        widen(x, P, distance, turn, NoiseRow(*noise), nis_ratio, lag, scale, middle, slipped, prediction)
-        return x, P
+        size = len(mean)
+        mean[:] = x[:size]
+        cov[:] = P[:size, :size]
+        noise, lag, middle = NoiseRow(*_first(_ODOMETRY, numbers)), (along, of_heading), (middle_x, middle_y)
+        widen(mean, cov, distance, turn, noise, nis_ratio, lag, scale, middle, slipped, prediction)
 
     make_compilable([widen])
     return compile_function(predicted)
@@ -265,8 +337,7 @@ class CompiledRing:
         noise: OdometryNoise,
     ) -> None:
         self._run, self._predict = _compile(loop, model.update), _compile_prediction(widen)
-        self._noise = tuple(row_of(NoiseRow, noise))
-        self._model = _arguments(model)
+        self._numbers = pack_model(noise, model)
         mark = _mark(loop, model.update)
         if mark.exists():
             self._warm_up()
@@ -280,7 +351,7 @@ class CompiledRing:
         encoders = (0.0,) * ENCODERS
         used, slip_sums = np.zeros((1, 4)), np.zeros((0, LARGEST + 1))
         x, P = np.zeros(POSE), np.zeros((POSE, POSE))
-        self._run(x, P, used, slip_sums, encoders, np.array([encoders]), np.zeros((0, 3)), self._noise, *self._model)
+        self.filter(x, P, used, slip_sums, encoders, [encoders], [])
         self.predicted(x, P, POSE, 0.0, 0.0, 1.0, NO_LAG, 0.0, (0.0, 0.0), 0.0)
 
     def filter(
@@ -294,17 +365,26 @@ class CompiledRing:
         echoes: Sequence[Sequence[float]],
     ) -> list[Outcome]:
         """Filter x, P by all echoes of a ring, in place: see `ekf.filter_ring`; the first four are arrays."""
-        outcomes: list[Outcome] = self._run(
-            x, P, used, slip_sums, tuple(encoders), np.array(poses), np.array(echoes), self._noise, *self._model
-        )
-        return outcomes
+        drive = [*encoders]
+        for row in poses:
+            drive += row
+        for row in echoes:
+            drive += row
+        outcomes = np.empty((len(echoes), OUTCOME))
+        self._run(x, P, used, slip_sums, np.array(drive), len(poses), outcomes, self._numbers)
+        return [
+            (int(refusal), innovation, nis, outlier_probability, likelihood, slope)
+            for refusal, innovation, nis, outlier_probability, likelihood, slope in outcomes.tolist()
+        ]
 
     def predicted(
         self, x: Any, P: Any, size: int, distance: float, turn: float, nis_ratio: float, lag: Lag, scale: float,
         middle: tuple[float, float], slipped_in2: float,
     ) -> tuple[Floats, Floats]:  # fmt: skip
         """Return the first `size` coordinates of x and P, predicted and widened: see `odometry.widen_prediction`."""
-        return self._predict(x, P, size, distance, turn, self._noise, nis_ratio, lag, scale, middle, slipped_in2)
+        mean, cov = np.empty(size), np.empty((size, size))
+        self._predict(x, P, mean, cov, distance, turn, nis_ratio, *lag, scale, *middle, slipped_in2, self._numbers)
+        return mean, cov
 
 
 def ring(

@@ -239,7 +239,7 @@ class KalmanFilter:
     @property
     def health(self) -> FilterHealth:
         """Health of the estimate; a filter that considers one pose only never reports LOST."""
-        return self._monitor.health(self._P)
+        return self._monitor.health(self._P.tolist() if self._compiled else self._P)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report: x- = f(x, u), P- = F P F^T + G Q G^T."""

@@ -221,7 +221,7 @@ class SlipTest:
     @property
     def max_evidence_nats(self) -> float:
         """An upper bound of the evidence: exact if both sides are of one displacement."""
-        shortened, lengthened = self.sums[0][LARGEST], self.sums[1][LARGEST]
+        shortened, lengthened = self._largest()
         return min(shortened, MAX_NATS_OF_ONE_SIDE) + min(lengthened, MAX_NATS_OF_ONE_SIDE)
 
     @property
@@ -240,7 +240,7 @@ class SlipTest:
     def slipped(self) -> tuple[float, float]:
         """Probability of a slip, and the mean square of the displacement by it, in^2: 0 without a slip."""
         if self._slipped is None:
-            self._slipped = self._odds() if self.sums[0][LARGEST] or self.sums[1][LARGEST] else NO_SLIP
+            self._slipped = self._odds() if any(self._largest()) else NO_SLIP
         return self._slipped
 
     def _odds(self) -> tuple[float, float]:
@@ -256,6 +256,10 @@ class SlipTest:
             total += odds
             squares += odds * displacement_in**2
         return total / (1.0 + total), squares / (1.0 + total)
+
+    def _largest(self) -> list[float]:
+        """Return the largest sum of either side."""
+        return [row[LARGEST] for row in self.sums] if isinstance(self.sums, list) else self.sums[:, LARGEST].tolist()
 
     def _rows(self) -> list[list[float]]:
         """Return `sums` in lists, whose elements plain Python adds faster."""

@@ -222,7 +222,8 @@ class FiringSchedule:
         # 2. The first that is later than `after_s`, and not yet overwritten.
         overwritten_s = now_s + CLOCK_STEP_S - interval_s * len(firing)
         after = floor((after_s - start_s) / interval_s + _TINY) if after_s >= start_s else -1
-        first = max(after, floor((overwritten_s - start_s) / interval_s + _TINY), -1) + 1
+        overwritten = floor((overwritten_s - start_s) / interval_s + _TINY)
+        first = (after if after > overwritten else max(overwritten, -1)) + 1
         # 3. All between them.
         firings = []
         for k in range(first, last + 1):
