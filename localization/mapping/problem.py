@@ -24,6 +24,7 @@ Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import radians
 from typing import Final
 
 import numpy as np
@@ -47,8 +48,12 @@ OWN_MEAN_STD_IN: Final = 0.01
 """Own offsets are differences from that of all sonars: their mean is 0."""
 ROBUST_LIMIT: Final = 2.5
 """c, in standard deviations: beyond it the influence of a residual decreases."""
-BEARING_STD_RAD: Final = 0.2
+WALL_BEARING_STD_RAD: Final = 0.2
 """A reflector is anywhere in a cone of 25 degrees; wider, since this is a bound and no measurement."""
+CONE_EDGE_RAD, POINT_BEARING_STD_RAD = radians(12.5), radians(4.0)
+"""Of a point only the direction beyond the edge of the cone counts. That of a wall depends on headings alone; that of a
+point on its place, so a bound within the cone would draw it towards the axes, and with it the range offset of all
+sonars: walls were 0.5 in off in a corridor."""
 TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 _FRAME_INFORMATION: Final = 1e8
@@ -297,7 +302,10 @@ class MapProblem:
         echoes = np.flatnonzero((assignment.feature != NO_FEATURE) & inside)
         sensors, prediction = self.predict(state, assignment, echoes)
         ranges = (sensors.range_in - prediction.range_in) / self.trajectory.std_in[echoes]
-        bearings = wrap_angle(prediction.bearing - sensors.axis) / BEARING_STD_RAD
+        off_axis = wrap_angle(prediction.bearing - sensors.axis)
+        beyond = off_axis - np.clip(off_axis, -CONE_EDGE_RAD, CONE_EDGE_RAD)
+        is_wall = assignment.feature[echoes] < len(state.walls)
+        bearings = np.where(is_wall, off_axis / WALL_BEARING_STD_RAD, beyond / POINT_BEARING_STD_RAD)
         return echoes, np.stack((ranges, bearings), axis=-1), prediction
 
     def tie_residuals(self, state: MapState, assignment: Assignment) -> Floats:
@@ -382,10 +390,15 @@ class MapProblem:
         scale = np.sqrt(robust_weight(residuals[:, 0])) if self.robust else np.ones(len(echoes))
         weighted = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
         by_range = scale / std
-        by_pose = np.stack((-prediction.by_pose * by_range[:, None], prediction.bearing_by_pose / BEARING_STD_RAD), 1)
-        by_pose[:, 1, HEADING] -= 1.0 / BEARING_STD_RAD
+        is_wall, is_within = assignment.feature[echoes] < len(state.walls), residuals[:, 1] == 0.0
+        by_bearing = np.where(is_within, 0.0, 1.0 / POINT_BEARING_STD_RAD)
+        by_bearing = np.where(is_wall, 1.0 / WALL_BEARING_STD_RAD, by_bearing)
+        by_pose = np.stack(
+            (-prediction.by_pose * by_range[:, None], prediction.bearing_by_pose * by_bearing[:, None]), axis=1
+        )
+        by_pose[:, 1, HEADING] -= by_bearing
         by_feature = np.stack(
-            (-prediction.by_feature * by_range[:, None], prediction.bearing_by_feature / BEARING_STD_RAD), axis=1
+            (-prediction.by_feature * by_range[:, None], prediction.bearing_by_feature * by_bearing[:, None]), axis=1
         )
         # 2. The derivative by everything in the border: the feature, and both offsets; rows of (e, 2, 4).
         offsets = np.zeros((len(echoes), 2, 2))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -104,6 +106,34 @@ def test_normal_equations_are_those_of_difference_quotients(trajectory: Trajecto
     scale = np.sqrt(np.outer(np.diag(H), np.diag(H))) + 1.0
     np.testing.assert_allclose(H / scale, J.T @ J / scale, atol=1e-6)
     np.testing.assert_allclose(g / np.sqrt(np.diag(scale)), -J.T @ r / np.sqrt(np.diag(scale)), atol=1e-5)
+
+
+def test_direction_of_a_point_within_the_cone_pulls_nothing(trajectory: Trajectory) -> None:
+    # Exact readings of points from exact poses: no residual, wherever in the cone the points are.
+    points = np.array([(x, y) for x in (-25.0, 30.0, 95.0) for y in (-25.0, 75.0)])
+    state, _ = perturbed(trajectory, 1)
+    state = replace(state, poses=trajectory.odometry[:NODES], points=points)
+    poses = state.poses - np.array((*state.poses[0, :2], 0.0))
+    state = replace(state, poses=poses, parameters=np.zeros_like(state.parameters))
+    echoes = np.flatnonzero(trajectory.node < NODES)
+    sensors = sensors_at(state.poses, state.parameters, trajectory, echoes)
+    readings, feature = trajectory.readings_in.copy(), np.full(len(trajectory.node), NO_FEATURE)
+    off_axis = []
+    for number, point in enumerate(points):
+        expected = predict_point(sensors, np.broadcast_to(point, (len(echoes), 2)))
+        off = wrap_angle(expected.bearing - sensors.axis)
+        within = np.abs(off) < np.radians(12.4)
+        off_axis += np.abs(off[within]).tolist()
+        readings[echoes[within]], feature[echoes[within]] = expected.range_in[within], len(WALLS) + number
+    assert len(off_axis) > 5
+    assert max(off_axis) > np.radians(6.0)
+    problem = MapProblem(replace(trajectory, readings_in=readings), 16)
+    linear = problem.linearize_echoes(state, Assignment(feature))
+    np.testing.assert_allclose(linear.residuals, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(linear.by_pose[:, 1], 0.0)
+    # Outside of it does.
+    turned = replace(state, poses=state.poses + np.array((0.0, 0.0, np.radians(20.0))))
+    assert np.abs(problem.linearize_echoes(turned, Assignment(feature)).by_pose[:, 1]).max() > 0.0
 
 
 def test_robust_equations_are_half_the_cost_s_gradient(trajectory: Trajectory) -> None:
