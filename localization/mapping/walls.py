@@ -363,6 +363,7 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
 
 def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
     """Return runs of feet (sorted): low, high, number."""
+    at = np.sort(points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along)
     if len(feet) < MIN_SPOTS:
         return []
     gaps = np.diff(feet)
@@ -371,7 +372,6 @@ def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, floa
         for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
     ]
     runs = np.split(feet, np.flatnonzero(is_cut) + 1)
-    at = points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along
     runs = [_trimmed(_trimmed(run, at)[::-1], at)[::-1] for run in runs]
     return [
         (float(run[0]), float(run[-1]), len(run))
@@ -547,13 +547,15 @@ def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
 def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]) -> None:
     """Set the standard deviations of the pieces, of what remains after the best rigid fit of all.
 
-    The displacements of both ends of each piece across it are linear in the unknowns: d = A u. A rigid motion moves
-    them by N (x, y, turn). What remains after the best fit is (I - N N^+) d.
+    The displacements of both ends of each piece across it, and of all points, are linear in the unknowns: d = A u. A
+    rigid motion moves them by N (x, y, turn). What remains after the best fit is (I - N N^+) d. Without the points the
+    only wall across a corridor would be exact, since it alone would tell the position along it.
     """
     if not pieces:
         return
-    covariance = covariance_of(estimate)
-    A, N = np.zeros((2 * len(pieces), len(covariance))), np.zeros((2 * len(pieces), POSE))
+    covariance, state = covariance_of(estimate), estimate.state
+    rows = 2 * (len(pieces) + len(state.points))
+    A, N = np.zeros((rows, len(covariance))), np.zeros((rows, POSE))
     for number, piece in enumerate(pieces):
         line = lines[piece.line]
         for end, coordinate in enumerate((piece.low, piece.high)):
@@ -561,6 +563,10 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
             # The end moves across the wall by d offset - coordinate * d angle.
             A[row, WALL * piece.line : WALL * piece.line + 2] = -coordinate, 1.0
             N[row] = *line.normal, line.normal[1] * place[0] - line.normal[0] * place[1]
+    for number, (x, y) in enumerate(state.points):
+        row, column = 2 * (len(pieces) + number), WALL * len(state.walls) + POINT * number
+        A[row, column] = A[row + 1, column + 1] = 1.0
+        N[row : row + 2] = (1.0, 0.0, -y), (0.0, 1.0, x)
     rest = (np.eye(len(A)) - N @ np.linalg.pinv(N)) @ A
     spread = rest @ covariance @ rest.T
     for number, piece in enumerate(pieces):
@@ -569,7 +575,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
         turn = (spread[low, low] + spread[high, high] - 2.0 * spread[low, high]) / piece.measured_in**2
         piece.std_in, piece.std_rad = float(np.sqrt(max(middle, 0.0))), float(np.sqrt(max(turn, 0.0)))
     # Ends along their walls, without the same rigid motion.
-    gauge, state = np.linalg.pinv(N) @ A, estimate.state
+    gauge = np.linalg.pinv(N) @ A
     for piece in pieces:
         stds: list[float | None] = [None, None]
         for end in range(2):

@@ -172,6 +172,12 @@ def test_map_of_one_or_two_walls_is_a_world(estimate: MapEstimate, tmp_path: Pat
     while len(few.state.walls) > count:
         few.remove(len(few.state.walls) - 1)
     few.associate()
+    # Points that the same map has tell how well the walls are known.
+    assert len(few.state.points)
+    assert min(wall.std_in for wall in describe(few).walls) > 0.02
+    while len(few.state.points):
+        few.remove(len(few.state.walls))
+    few.associate()
     found = describe(few)
     assert len(found.walls) == count
     assert max(wall.std_in for wall in found.walls) < 1e-6
