@@ -13,6 +13,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import radians
 from typing import Final
 
@@ -364,6 +365,7 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
 def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
     """Return runs of feet (sorted): low, high, number."""
     at = np.sort(points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along)
+    feet = _without_strays(feet, at)
     if len(feet) < MIN_SPOTS:
         return []
     gaps = np.diff(feet)
@@ -378,6 +380,18 @@ def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, floa
         for run in runs
         if len(run) >= MIN_SPOTS and run[-1] - run[0] >= MIN_PIECE_IN
     ]
+
+
+def _without_strays(feet: Floats, points: Floats) -> Floats:
+    """Return feet (sorted) without the one or two between neighbouring points (sorted) with a gap between them.
+
+    A door stands back between its posts: two mistaken spots on the line of the wall, and it would lead across the door.
+    """
+    for low, high in pairwise(points.tolist()):
+        between = (feet > low + POINT_ON_LINE_IN) & (feet < high - POINT_ON_LINE_IN)
+        if high - low > MAX_GAP_IN and between.sum() <= MAX_ALONE:
+            feet = feet[~between]
+    return feet
 
 
 def _with_spans(

@@ -184,3 +184,20 @@ def test_map_of_one_or_two_walls_is_a_world(estimate: MapEstimate, tmp_path: Pat
     file = tmp_path / "few.toml"
     file.write_text(format_world(found.world("few")))
     assert load_world(file).accuracies == found.world("few").accuracies
+
+
+@pytest.mark.parametrize(("spots", "pieces"), [((19.0, 36.0), 2), ((19.0, 28.0, 36.0), 1)])
+def test_two_spots_between_posts_make_no_wall_across_a_door(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, spots: tuple[float, ...], pieces: int
+) -> None:
+    # The wall at y = -25 with the posts of a door at x = 10 and 45: no gap between the spots is wider than 20 in.
+    found, measured_feet = estimate.copy(), walls._clear_feet
+    south = int(np.argmax(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0)[:, 0]))
+    for x in (10.0, 45.0):
+        found.add_point(np.array((x, -25.0)))
+    angle = float(found.state.walls[south, 0])
+    measured = np.concatenate((np.linspace(-20.0, 9.0, 15), spots, np.linspace(46.0, 90.0, 20)))
+    feet = np.stack((measured, np.full(len(measured), -25.0)), axis=-1) @ (-np.sin(angle), np.cos(angle))
+    monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == south else measured_feet(of, wall))
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
+    assert sum(piece.line == south for piece in extract_walls(found)) == pieces
