@@ -160,10 +160,13 @@ async def test_reading_pauses_while_reply_is_deferred(monkeypatch: pytest.Monkey
 async def test_slow_reader_delays_no_other_and_loses_nothing() -> None:
     async with running_server() as server:
         slow, other = await server.connect_client(), await server.connect_client()
-        # Without a limit the system would store twice as many replies before the daemon has to pause.
+        # Without limits the system would store ten times as many replies before the daemon has to pause.
         slow.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        for connection in server.daemon.connections:
+            assert isinstance(connection, TcpConnection)
+            connection._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65536)
         slow.transport.pause_reading()
-        count = 30_000
+        count = 5_000
         slow.writer.write(GS * count)
         while not any(connection.state is PAUSED for connection in server.daemon.connections):
             assert (await other.ask("gs")).kind == "state"

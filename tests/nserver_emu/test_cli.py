@@ -20,6 +20,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
+from tests.programs.forked import Forked
 
 
 def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,8 +209,7 @@ def test_an_unknown_model_names_the_nearest(capsys: pytest.CaptureFixture[str]) 
 def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.log"
     words = ["--noisy", "--lockstep", "0.1", "--port", "0", "--allow-quit", "--record", str(path)]
-    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout
+    with Forked("nserver", *words) as daemon:
         port = int(daemon.stdout.readline().rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=10) as client:
             for call in (Call("connect_robot", (1, 1)), Call("vm", (100, 0, 0)), Call("gs"), Call("quit_server")):

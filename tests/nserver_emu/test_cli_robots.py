@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from math import asin, atan, hypot
 
 import pytest
 
 from nclient.connector import connect
+from tests.programs.forked import Forked
 
 
 @pytest.mark.long
 def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
-    command += ["--robot", "n200", "--robot", "n150", "--start", "20,45", "--start", "70,45"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+    words = ("--robot", "n200", "--robot", "n150", "--start", "20,45", "--start", "70,45")
+    with Forked("nserver", "--port", "0", *words) as program:
         try:
-            assert program.stdout is not None
             host = program.stdout.readline().split()[-1]
             with connect(f"nserver://{host}/1?model=n200", timeout_s=10) as robot:
                 points = robot.read_laser().laser_points_in
@@ -35,11 +32,9 @@ def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:
 
 @pytest.mark.long
 def test_each_robot_is_found_by_its_number() -> None:
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--robots", "3"]
-    command += ["--robot", "n150", "--robot", "scout", "--start", "0,0", "--start", "60,50,90"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+    words = ("--robot", "n150", "--robot", "scout", "--start", "0,0", "--start", "60,50,90")
+    with Forked("nserver", "--port", "0", "--robots", "3", *words) as program:
         try:
-            assert program.stdout is not None
             host = program.stdout.readline().split()[-1]
             with connect(f"nserver://{host}/2?model=scout", timeout_s=10) as second:
                 second.refresh()

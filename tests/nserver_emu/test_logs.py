@@ -9,7 +9,6 @@ import io
 import json
 import logging
 import socket
-import subprocess
 import sys
 import threading
 import warnings
@@ -22,6 +21,7 @@ import pytest
 from nclient import connect
 from nclient.common.arguments import Parser
 from nserver_emu import cli, logs
+from tests.programs.forked import Forked
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -123,9 +123,7 @@ def test_an_embedding_programs_logging_is_left_alone(capsys: pytest.CaptureFixtu
 
 @pytest.mark.long
 def test_every_line_of_a_daemon_is_an_object() -> None:
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--paused", "--log-format", "json", "-v"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", "--port", "0", "--paused", "--log-format", "json", "-v", stderr=True) as daemon:
         with connect(f"nserver://{daemon.stdout.readline().split()[-1]}/1?tm_s=0"):
             pass
         daemon.terminate()
@@ -232,9 +230,7 @@ def test_many_addresses_share_one_count() -> None:
 @pytest.mark.long
 def test_a_daemon_with_unread_stderr_serves_and_ends() -> None:
     """Its log is longer than a pipe holds."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "-vv"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", "--port", "0", "-vv", stderr=True) as daemon:
         assert daemon.stderr is not None
         fcntl.fcntl(daemon.stderr.fileno(), fcntl.F_SETPIPE_SZ, 4096)
         host, _, port = daemon.stdout.readline().split()[-1].partition(":")

@@ -9,8 +9,6 @@ import os
 import shlex
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -19,6 +17,7 @@ import pytest
 
 from nserver_emu import cli
 from nserver_emu.cli import ServiceManager, announced, nserver_parser
+from tests.programs.forked import Forked
 
 UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
 
@@ -40,10 +39,8 @@ def manager(place: str) -> Iterator[socket.socket]:
 def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str) -> None:
     environment = {**os.environ, "NOTIFY_SOCKET": place, "WATCHDOG_USEC": "200000"}
     environment.pop("WATCHDOG_PID", None)
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    with Forked("nserver", "--port", "0", environment=environment) as process:
         assert manager.recv(100) == b"READY=1"
-        assert process.stdout is not None
         assert process.stdout.readline().startswith("listening nserver"), "ready comes after the doors are open"
         assert [manager.recv(100) for _ in range(3)] == [b"WATCHDOG=1"] * 3
         process.send_signal(signal.SIGTERM)

@@ -105,6 +105,7 @@ def test_simplify_writes_a_world_with_fewer_walls(
     assert main.main(["map", "simplify", room, "--out", str(tmp_path / "made" / "x.toml")]) == 0
 
 
+@pytest.mark.long
 def test_show_reports_the_bound_and_draws_it(room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "deep" / "map.png"
     assert main.main(["map", "show", room, "--out", str(picture), "--cell", "6"]) == 0

@@ -270,6 +270,7 @@ def all_tangents_length(walls: Floats, start: Floats, goal: Floats, radius: floa
     return float(dijkstra(graph, indices=nodes)[nodes + 1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_paths_equal_those_of_the_whole_graph(seed: int) -> None:
     walls, radius = random_walls(seed, 14, 200.0, is_on_grid=seed % 2 == 1), 6.0

@@ -230,6 +230,7 @@ def dissector(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_every_field_equals_wire_decode(dissector: Path, tmp_path: Path) -> None:
     cases = [*recorded_cases(), *our_cases()]
     write_pcap(tmp_path / "all.pcap", [case.conversation for case in cases])

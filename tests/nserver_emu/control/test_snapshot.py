@@ -269,6 +269,7 @@ for _ in range(500):
     DEEP = [DEEP]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "value"),
     [

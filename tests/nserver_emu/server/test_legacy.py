@@ -19,6 +19,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.programs.forked import Forked
+
 pytestmark = pytest.mark.long
 
 AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
@@ -80,10 +82,8 @@ class OldClient:
 @contextlib.contextmanager
 def nserver(*words: str) -> Iterator[int]:
     """A daemon; the port it listens on."""
-    command = [sys.executable, "-m", "nserver_emu", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with Forked("nserver", *words) as process:
         try:
-            assert process.stdout is not None
             line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
             assert line
             yield int(line[1])

@@ -88,7 +88,8 @@ def traced(walls: FloatArray, source: Ping, receiver: Ping, rays: int = 30001) -
     return sorted(found)
 
 
-@pytest.mark.parametrize("seed", range(2))
+# The first echoes of 1 include some over a wall onto another, those of 5 some off two walls.
+@pytest.mark.parametrize("seed", [1, 5])
 def test_the_first_echo_is_the_shortest_path_of_traced_rays(seed: int) -> None:
     rng = np.random.default_rng(seed)
     # Seven walls of 80 in at random; none within an inch of the ring.
