@@ -101,7 +101,6 @@ def test_wrong_start_is_refused(estimate: MapEstimate) -> None:
         differences(WALLS, estimate, START + (300.0, 0.0, 0.8))  # noqa: RUF005
 
 
-@pytest.mark.long
 def test_command_proposes_and_applies_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # 1. A map of the room with a wall too much; the drive begins at the start of both.
     room = load_world("thesis_room")
