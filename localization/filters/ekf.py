@@ -282,9 +282,10 @@ class KalmanFilter:
             return results
         noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
-        low_in, high_in = model.noise.lowest_in, model.noise.highest_in
-        ranges = [echo for echo in echoes[:-1] if low_in < echo[READING] < high_in]
-        ranges.append(echoes[-1])
+        low_in, high_in, ranges = model.noise.lowest_in, model.noise.highest_in, echoes
+        if len(echoes) > 1:
+            ranges = [echo for echo in echoes[:-1] if low_in < echo[READING] < high_in]
+            ranges.append(echoes[-1])
         # 2. Predict to each range and correct by it.
         if self._compiled:
             results = self._compiled.filter(self._x, self._P, used, slips, encoders, poses, ranges)

@@ -220,6 +220,7 @@ def _step(before: EncoderPose, after: EncoderPose) -> tuple[float, float]:
 
 LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
+_SQRT_3: Final = sqrt(3.0)
 
 
 def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -> Lag:
@@ -236,7 +237,8 @@ def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -
     if passed_s <= 0.0:
         return NO_LAG
     # Two clocks that err by up to sqrt(3) std_s may be nearly equal: the robot is not that fast.
-    passed_s = max(passed_s, sqrt(3.0) * std_s)
+    shortest_s = _SQRT_3 * std_s
+    passed_s = passed_s if passed_s > shortest_s else shortest_s
     distance_in, turn_rad = _step(before, now)
     return std_s * distance_in / passed_s, std_s * turn_rad / passed_s
 
