@@ -261,6 +261,7 @@ def can_import(name: str) -> bool:
     return True
 
 
+@pytest.mark.long
 def test_worker_has_no_scipy_which_numba_would_load(tmp_path: Path) -> None:
     pytest.importorskip("scipy.linalg")
     with BackgroundSearch(CONFIG, waits=True, folder=tmp_path) as poses:
