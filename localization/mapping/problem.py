@@ -28,6 +28,7 @@ from math import radians
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.sonar_cone import range_jacobian, to_vertex, to_wall
@@ -53,7 +54,7 @@ WALL_BEARING_STD_RAD: Final = 0.2
 CONE_EDGE_RAD, POINT_BEARING_STD_RAD = radians(12.5), radians(4.0)
 """Of a point only the direction beyond the edge of the cone counts. That of a wall depends on headings alone; that of a
 point on its place, so a bound within the cone would draw it towards the axes, and with it the range offset of all
-sonars: walls were 0.5 in off in a corridor."""
+sonars: walls were 0.5 in off in a corridor. A point that stays in place bounds headings as walls do."""
 TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 _FRAME_INFORMATION: Final = 1e8
@@ -304,9 +305,13 @@ class MapProblem:
         ranges = (sensors.range_in - prediction.range_in) / self.trajectory.std_in[echoes]
         off_axis = wrap_angle(prediction.bearing - sensors.axis)
         beyond = off_axis - np.clip(off_axis, -CONE_EDGE_RAD, CONE_EDGE_RAD)
-        is_wall = assignment.feature[echoes] < len(state.walls)
-        bearings = np.where(is_wall, off_axis / WALL_BEARING_STD_RAD, beyond / POINT_BEARING_STD_RAD)
+        is_whole = self._has_whole_bearing(state, assignment, echoes)
+        bearings = np.where(is_whole, off_axis / WALL_BEARING_STD_RAD, beyond / POINT_BEARING_STD_RAD)
         return echoes, np.stack((ranges, bearings), axis=-1), prediction
+
+    def _has_whole_bearing(self, state: MapState, assignment: Assignment, echoes: Indices) -> npt.NDArray[np.bool_]:
+        """Return True for echoes whose bearing counts within the cone too: of walls, and of all that stays in place."""
+        return np.asarray((assignment.feature[echoes] < len(state.walls)) | self.has_fixed_map, dtype=np.bool_)
 
     def tie_residuals(self, state: MapState, assignment: Assignment) -> Floats:
         """Return the residuals (k,) of points that lie on walls."""
@@ -390,9 +395,9 @@ class MapProblem:
         scale = np.sqrt(robust_weight(residuals[:, 0])) if self.robust else np.ones(len(echoes))
         weighted = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
         by_range = scale / std
-        is_wall, is_within = assignment.feature[echoes] < len(state.walls), residuals[:, 1] == 0.0
-        by_bearing = np.where(is_within, 0.0, 1.0 / POINT_BEARING_STD_RAD)
-        by_bearing = np.where(is_wall, 1.0 / WALL_BEARING_STD_RAD, by_bearing)
+        by_bearing = np.where(residuals[:, 1] == 0.0, 0.0, 1.0 / POINT_BEARING_STD_RAD)
+        is_whole = self._has_whole_bearing(state, assignment, echoes)
+        by_bearing = np.where(is_whole, 1.0 / WALL_BEARING_STD_RAD, by_bearing)
         by_pose = np.stack(
             (-prediction.by_pose * by_range[:, None], prediction.bearing_by_pose * by_bearing[:, None]), axis=1
         )

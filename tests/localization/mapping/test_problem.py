@@ -131,7 +131,10 @@ def test_direction_of_a_point_within_the_cone_pulls_nothing(trajectory: Trajecto
     linear = problem.linearize_echoes(state, Assignment(feature))
     np.testing.assert_allclose(linear.residuals, 0.0, atol=1e-9)
     np.testing.assert_array_equal(linear.by_pose[:, 1], 0.0)
-    # Outside of it does.
+    # In a map that stays as it is they bound the headings.
+    fixed = MapProblem(problem.trajectory, 16, has_fixed_map=True).linearize_echoes(state, Assignment(feature))
+    np.testing.assert_allclose(np.abs(fixed.residuals[:, 1]).max(), max(off_axis) / 0.2)
+    # Outside of the cone they do in any.
     turned = replace(state, poses=state.poses + np.array((0.0, 0.0, np.radians(20.0))))
     assert np.abs(problem.linearize_echoes(turned, Assignment(feature)).by_pose[:, 1]).max() > 0.0
 
