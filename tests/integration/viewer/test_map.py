@@ -115,8 +115,7 @@ def test_canvas_has_resolution_of_dense_screen(browser: Browser) -> None:
         assert page.value("nserver.map.canvas.width / nserver.map.canvas.clientWidth") == pytest.approx(2, abs=0.01)
 
 
-@pytest.mark.parametrize("viewport", [(800, 600), (390, 844), (360, 640)])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("viewport", "scheme"), [((800, 600), "dark"), ((390, 844), "light"), ((360, 640), "dark")])
 def test_page_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tuple[int, int], scheme: str) -> None:
     width, height = viewport
     with (
