@@ -316,9 +316,11 @@ def _compile_prediction(widen: Callable[..., None]) -> Callable[..., None]:
         of_heading: float, scale: float, middle_x: float, middle_y: float, slipped: float, numbers: Any,
     ) -> None:  # fmt: skip
         assert sources >= 0
-        size = len(mean)
-        mean[:] = x[:size]
-        cov[:] = P[:size, :size]
+        # One by one: for an assignment of slices numba compiles the text of an error as well, for five seconds.
+        for i in range(len(mean)):
+            mean[i] = x[i]
+            for j in range(len(mean)):
+                cov[i, j] = P[i, j]
         noise, lag, middle = NoiseRow(*_first(_ODOMETRY, numbers)), (along, of_heading), (middle_x, middle_y)
         widen(mean, cov, distance, turn, noise, nis_ratio, lag, scale, middle, slipped, prediction)
 
