@@ -237,6 +237,7 @@ def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -
     if passed_s <= 0.0:
         return NO_LAG
     # Two clocks that err by up to sqrt(3) std_s may be nearly equal: the robot is not that fast.
+    # A comparison, as in health.py: a call of max takes longer.
     shortest_s = _SQRT_3 * std_s
     passed_s = passed_s if passed_s > shortest_s else shortest_s
     distance_in, turn_rad = _step(before, now)

@@ -28,6 +28,7 @@ from localization.filters.sonar_ray import intersect_line
 from localization.mapping.measurements import Indices, compose, rotate
 from localization.mapping.problem import (
     COMMON_OFFSET,
+    HALF_CONE_RAD,
     NO_FEATURE,
     ROBUST_LIMIT,
     Assignment,
@@ -43,7 +44,7 @@ Mask = npt.NDArray[np.bool_]
 GATE_SIGMAS: Final = 3.0
 GATE_IN: Final = 0.4
 """Added to the gate: poses and features are uncertain as well."""
-HALF_CONE_RAD: Final = radians(12.5 + 4.0)
+MAX_OFF_AXIS_RAD: Final = HALF_CONE_RAD + radians(4.0)
 """Half angle of a cone, and the uncertainty of the heading."""
 MIN_GROWTH_IN, MAX_GROWTH_IN, GROWTH = 20.0, 48.0, 0.4
 """A wall may be measured this fraction of its length beyond the part seen so far, within limits: beyond a gap that a
@@ -317,7 +318,7 @@ def residual_matrix(
     std = problem.trajectory.std_in[echoes][:, None]
     residual = sensors.range_in[:, None] - ranges
     fits = np.abs(residual) < GATE_SIGMAS * std + GATE_IN
-    fits &= (np.abs(off_axis) < HALF_CONE_RAD) & np.concatenate((on_wall, everywhere), 1)
+    fits &= (np.abs(off_axis) < MAX_OFF_AXIS_RAD) & np.concatenate((on_wall, everywhere), 1)
     return np.where(fits, residual / std, np.inf), sensors, spots
 
 

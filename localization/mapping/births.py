@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.association import HALF_CONE_RAD, MapEstimate, Mask, is_blocked
+from localization.mapping.association import MAX_OFF_AXIS_RAD, MapEstimate, Mask, is_blocked
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import (
     NO_FEATURE,
@@ -192,7 +192,7 @@ def _fit(free: FreeEchoes, feature: Floats, is_wall: bool) -> Fit:
     sensors = free.sensors
     for step in range(FIT_STEPS + 1):
         predicted = _predict(free, feature, is_wall)
-        in_cone = np.abs(wrap_angle(predicted.bearing - sensors.axis)) < HALF_CONE_RAD
+        in_cone = np.abs(wrap_angle(predicted.bearing - sensors.axis)) < MAX_OFF_AXIS_RAD
         residual = sensors.range_in - predicted.range_in
         # The first steps take echoes farther off, since a peak is as coarse as its cell.
         within = SUPPORT_IN if step < 2 else SUPPORT_SIGMAS * free.std_in + 0.3
@@ -231,7 +231,7 @@ def _decide(free: FreeEchoes, feature: Floats, is_wall: bool) -> tuple[Fit | Non
     if first.supports.sum() < MIN_VOTES:
         predicted = _predict(free, feature, is_wall)
         near = np.abs(free.sensors.range_in - predicted.range_in) < SUPPORT_IN
-        return None, is_wall, near & (np.abs(wrap_angle(predicted.bearing - free.sensors.axis)) < HALF_CONE_RAD)
+        return None, is_wall, near & (np.abs(wrap_angle(predicted.bearing - free.sensors.axis)) < MAX_OFF_AXIS_RAD)
     if free.rays:
         is_known = first.supports.sum() >= MIN_VOTES and first.base_in >= MIN_BASE_IN
         return first if is_known else None, True, first.supports

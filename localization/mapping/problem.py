@@ -51,7 +51,7 @@ ROBUST_LIMIT: Final = 2.5
 """c, in standard deviations: beyond it the influence of a residual decreases."""
 WALL_BEARING_STD_RAD: Final = 0.2
 """A reflector is anywhere in a cone of 25 degrees; wider, since this is a bound and no measurement."""
-CONE_EDGE_RAD, POINT_BEARING_STD_RAD = radians(12.5), radians(4.0)
+HALF_CONE_RAD, POINT_BEARING_STD_RAD = radians(12.5), radians(4.0)
 """Of a point only the direction beyond the edge of the cone counts. That of a wall depends on headings alone; that of a
 point on its place, so a bound within the cone would draw it towards the axes, and with it the range offset of all
 sonars: walls were 0.5 in off in a corridor. A point that stays in place bounds headings as walls do."""
@@ -304,7 +304,7 @@ class MapProblem:
         sensors, prediction = self.predict(state, assignment, echoes)
         ranges = (sensors.range_in - prediction.range_in) / self.trajectory.std_in[echoes]
         off_axis = wrap_angle(prediction.bearing - sensors.axis)
-        beyond = off_axis - np.clip(off_axis, -CONE_EDGE_RAD, CONE_EDGE_RAD)
+        beyond = off_axis - np.clip(off_axis, -HALF_CONE_RAD, HALF_CONE_RAD)
         is_whole = self._has_whole_bearing(state, assignment, echoes)
         bearings = np.where(is_whole, off_axis / WALL_BEARING_STD_RAD, beyond / POINT_BEARING_STD_RAD)
         return echoes, np.stack((ranges, bearings), axis=-1), prediction

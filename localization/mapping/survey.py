@@ -23,6 +23,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds, rotate
+from localization.mapping.problem import HALF_CONE_RAD
 from localization.navigation.control_law import (
     STAND,
     AxisLimits,
@@ -48,7 +49,6 @@ REACTION_S: Final = 1.5
 COMMAND_TIMEOUT_S: Final = 1
 """The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
 GUARD_MARGIN_IN: Final = 1.5
-HALF_CONE_RAD: Final = radians(12.5)
 ASIDE_RAD: Final = radians(80.0)
 """Obstacles farther aside are not approached."""
 DEAD_ZONE_RAD: Final = radians(60.0)
