@@ -454,6 +454,8 @@ class LostSummary(TypedDict):
         Mean Brier score of the probabilities that are stated meanwhile, 0 (certain and right) to 2.
     brier_expected
         The score that calibrated probabilities would have on average: k equal ones have 1 - 1 / k.
+    brier_std
+        Standard error of `brier` less `brier_expected`, from how the runs differ; None for a single run.
     reliability
         For bins of stated probabilities: their mean, the fraction that was right, and their number.
     """
@@ -478,6 +480,7 @@ class LostSummary(TypedDict):
     early: int | None
     brier: float | None
     brier_expected: float | None
+    brier_std: float | None
     reliability: list[tuple[float, float, int]]
 
 
@@ -516,6 +519,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         early=None,
         brier=None,
         brier_expected=None,
+        brier_std=None,
         reliability=[],
     )
     # 2. Numbers of detection and recovery, where they apply.
@@ -530,6 +534,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         summary["early"] = sum(result.is_early for result in results)
         stated = [instant for result in results for instant in result.stated]
         summary["brier"], summary["brier_expected"] = brier_score(stated), expected_brier_score(stated)
+        summary["brier_std"] = brier_excess_std([result.stated for result in results])
         summary["reliability"] = reliability(stated)
     return summary
 
@@ -576,6 +581,32 @@ def expected_brier_score(stated: Stated) -> float | None:
         squares = sum(probability**2 for probability, _ in instant)
         total += 1.0 - elsewhere + elsewhere * (1.0 - elsewhere) ** 2 - squares
     return total / len(stated)
+
+
+def brier_excess_std(runs: Sequence[Stated]) -> float | None:
+    """Return the standard error of `brier_score` less `expected_brier_score` over the instants of all runs.
+
+    The instants of a run are correlated as they may be, runs are independent: the error of a ratio of two sums over
+    runs, of excess and of number of instants. None for fewer than two runs that state anything.
+
+    References
+    ----------
+    Cochran, Sampling Techniques (1977), equation 6.13; Cameron and Miller, A practitioner's guide to cluster-robust
+    inference (2015), equation 11.
+    """
+    excess, count = [], []
+    for stated in runs:
+        score, expected = brier_score(stated), expected_brier_score(stated)
+        if score is not None and expected is not None:
+            excess.append(score - expected)
+            count.append(len(stated))
+    if len(count) < 2:
+        return None
+    n = np.array(count, dtype=np.float64)
+    total = n * excess
+    # What each run adds to the sum beyond the mean excess of all instants.
+    off = total - n * (total.sum() / n.sum())
+    return sqrt(len(n) / (len(n) - 1.0) * float(off @ off)) / float(n.sum())
 
 
 def reliability(stated: Stated) -> list[tuple[float, float, int]]:
@@ -641,9 +672,11 @@ def words(summary: LostSummary) -> str:
         lines.append(f"  OK before an unambiguous place: {summary['early']} of {summary['runs']}")
     if summary["brier"] is not None:
         rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary["reliability"])
+        std = summary["brier_std"]
+        error = "" if std is None else f" (standard error of the difference {std:.3f})"
         lines.append(
             f"  stated probabilities: Brier score {summary['brier']:.3f}, {summary['brier_expected']:.3f} expected if "
-            f"calibrated; right of those stated: {rows}"
+            f"calibrated{error}; right of those stated: {rows}"
         )
     return "\n".join(lines)
 

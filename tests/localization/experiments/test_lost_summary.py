@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
+import numpy as np
 import pytest
 
 from localization.experiments.live_trial import SCENARIOS
-from localization.experiments.lost import Case, Kind, LostResult, brier_score, expected_brier_score, summaries, words
+from localization.experiments.lost import (
+    Case,
+    Kind,
+    LostResult,
+    brier_excess_std,
+    brier_score,
+    expected_brier_score,
+    summaries,
+    words,
+)
 
 
 def case(kind: Kind, seed: int) -> Case:
@@ -85,3 +97,29 @@ def test_two_right_hypotheses_are_one_outcome() -> None:
     assert brier_score([[(0.6, True), (0.4, True)]]) == pytest.approx(0.0)
     assert brier_score([[(0.5, True), (0.2, True), (0.3, False)]]) == pytest.approx(0.18)
     assert brier_score([[(0.5, False), (0.3, False)]]) == pytest.approx(0.25 + 0.09 + 0.64)
+
+
+def test_standard_error_of_the_brier_score_is_that_of_repeated_experiments() -> None:
+    """Oracle: the scatter over 300 experiments of 60 runs, whose one to six instants are all right or all wrong."""
+    rng = np.random.default_rng(5)
+    excesses, stated_errors = [], []
+    for _ in range(300):
+        runs = []
+        for probability, count in zip(rng.uniform(0.5, 1.0, 60).tolist(), rng.integers(1, 7, 60).tolist(), strict=True):
+            is_right = bool(rng.random() < probability)
+            runs.append([[(probability, is_right), (1.0 - probability, not is_right)]] * count)
+        instants = [*chain(*runs)]
+        score, expected, error = brier_score(instants), expected_brier_score(instants), brier_excess_std(runs)
+        assert score is not None
+        assert expected is not None
+        assert error is not None
+        excesses.append(score - expected)
+        stated_errors.append(error)
+    assert np.mean(stated_errors) == pytest.approx(np.std(excesses), rel=0.1)
+    assert brier_excess_std([[[(1.0, True)]], []]) is None
+    (found,) = summaries({
+        case(Kind.UNKNOWN_START, seed): LostResult(60.0, 0, 0.0, None, stated=[[(0.8, is_right), (0.2, not is_right)]])
+        for seed, is_right in enumerate((True, False))
+    })
+    # Scores 0.08 and 1.28, 0.32 expected: 0.36 more, with a standard error of 0.6 of two runs.
+    assert "Brier score 0.680, 0.320 expected if calibrated (standard error of the difference 0.600)" in words(found)
