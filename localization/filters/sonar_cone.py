@@ -171,6 +171,8 @@ MAX_SIGMAS: Final = log(1.0 / MIN_PROBABILITY - 1.0) / LOGISTIC_SLOPE
 """A reflector so many standard deviations out of reach has MIN_PROBABILITY at most."""
 REACH_IN: Final = MAX_SIGMAS * FOOT_STD_IN
 """A foot farther than this beyond an end is not detected."""
+_MIN_ABSORPTION: Final = 1e-9
+"""Least absorption, dB per inch, that limits the range at which a reflector is loud enough."""
 _ROUNDING: Final = 1e-6
 """Margin for rounding, inches or radians."""
 CONE_RAD: Final = radians(25.0)
@@ -363,30 +365,35 @@ def first_echoes(
     blur = max(heading_std_rad, MIN_ANGLE_STD_RAD)
     widest = 0.5 * sonar.cone_rad + MAX_SIGMAS * blur
     min_cosine = cos(widest) - 1e-9 if widest < pi else -2.0
-    # 2. The reflectors in the cone: walls with their foot on them, and vertices.
+    # 2. The reflectors in the cone that are loud enough: walls with their foot on them, and vertices.
+    audible_in = (sonar.margin_db + MAX_SIGMAS * sonar.margin_std_db) / max(sonar.absorption_db_in, _MIN_ABSORPTION)
     found, number = [], -1
     for corner_x, corner_y, normal_x, normal_y, length in rows_of_five(model.faces):
         number += 1
         if abs(normal_x * axis_x + normal_y * axis_y) <= min_cosine:  # from either side
             continue
         range_in, to_x, to_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
-        if to_x * axis_x + to_y * axis_y > min_cosine and -REACH_IN < foot < length + REACH_IN:
-            found.append((range_in, number, to_x, to_y, foot_probability(foot, length), 0.0))
+        is_in_cone = to_x * axis_x + to_y * axis_y > min_cosine
+        if is_in_cone and range_in < audible_in and -REACH_IN < foot < length + REACH_IN:
+            off_axis = wrap_angle(atan2(to_y, to_x) - axis)
+            probability = foot_probability(foot, length) * detection_probability(off_axis, range_in, 0.0, blur, sonar)
+            if probability > MIN_PROBABILITY:
+                found.append((range_in, number, to_x, to_y, probability))
     for vertex_x, vertex_y, loss_db in rows_of_three(model.vertices):
         number += 1
-        if (vertex_x - face_x) * axis_x + (vertex_y - face_y) * axis_y < 0.0 < min_cosine:  # behind
+        ahead_in = (vertex_x - face_x) * axis_x + (vertex_y - face_y) * axis_y
+        if ahead_in < 0.0 < min_cosine or ahead_in > audible_in:  # behind, or too far
             continue
         range_in, to_x, to_y = to_vertex(face_x, face_y, vertex_x, vertex_y)
-        if to_x * axis_x + to_y * axis_y >= min_cosine:
-            found.append((range_in, number, to_x, to_y, 1.0, loss_db))
+        if to_x * axis_x + to_y * axis_y >= min_cosine and range_in < audible_in:
+            off_axis = wrap_angle(atan2(to_y, to_x) - axis)
+            probability = detection_probability(off_axis, range_in, loss_db, blur, sonar)
+            if probability > MIN_PROBABILITY:
+                found.append((range_in, number, to_x, to_y, probability))
     # 3. The first echo: the probability of each, if the path to it is clear, and that no nearer one was detected.
     sort_by_range(found)
     undetected, echoes = 1.0, []
-    for range_in, number, to_x, to_y, on_wall, loss_db in found:
-        off_axis = wrap_angle(atan2(to_y, to_x) - axis)
-        probability = on_wall * detection_probability(off_axis, range_in, loss_db, blur, sonar)
-        if probability <= MIN_PROBABILITY:
-            continue
+    for range_in, number, to_x, to_y, probability in found:
         if nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
             continue
         if undetected > 0.0:
