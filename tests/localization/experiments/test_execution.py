@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -26,6 +27,26 @@ def test_every_item_is_worked_on_once(jobs: int) -> None:
 def test_error_of_a_job_is_raised(jobs: int) -> None:
     with pytest.raises(ValueError, match="negative"):
         list(run_locally(math.factorial, [1, -1], jobs))
+
+
+@pytest.mark.long
+def test_workers_begin_with_all_modules() -> None:
+    modules = ["localization.experiments.live_trial", "nserver_emu.server.inprocess", "numpy.random"]
+    assert list(run_locally(_is_imported, modules, 2)) == [True] * len(modules)
+
+
+@pytest.mark.long
+def test_workers_can_import_scipy() -> None:
+    pytest.importorskip("scipy")
+    assert set(run_locally(_imported_name, ["scipy", "scipy.ndimage"], 2)) == {"scipy", "scipy.ndimage"}
+
+
+def _is_imported(module: str) -> bool:
+    return module in sys.modules
+
+
+def _imported_name(module: str) -> str:
+    return import_module(module).__name__
 
 
 def test_nothing_to_do_is_nothing_done() -> None:

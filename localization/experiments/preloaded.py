@@ -1,0 +1,38 @@
+"""Modules and compiled code of worker processes, loaded once: the process that forks them imports this module."""
+
+import sys
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError
+
+from localization.experiments import live_trial  # noqa: F401 - most experiments drive its robots
+from localization.filters import compiled
+from localization.filters.base import THESIS_ODOMETRY
+from localization.filters.ekf import filter_ring
+from localization.filters.odometry import widen_prediction
+from localization.filters.sonar_cone import ConeModel, ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RayModel
+from nclient.errors import VariableError
+from nserver_emu.server import inprocess  # noqa: F401 - found by entry point otherwise
+from nserver_emu.simulation.acoustics import FIRST_ECHO
+from worlds.compiled import CALLS_BEFORE_LOADING, mark_path
+from worlds.robots import N150
+
+
+def load_compiled_code() -> None:
+    """Load compiled code of filter and sonars that is on disk; compile nothing."""
+    # Compiled code takes any map: a single wall here.
+    walls = [(0.0, 100.0, 100.0, 100.0)]
+    for model in (RayModel(walls, N150, WIRE_SONAR), ConeModel(walls, N150, ConeSonar())):
+        if mark_path(model.update.__name__, compiled.source_checksum(filter_ring)).exists():
+            compiled.ring(filter_ring, widen_prediction, model, THESIS_ODOMETRY)
+    FIRST_ECHO.count_calls(CALLS_BEFORE_LOADING)
+
+
+# Where SciPy is installed, numba loads all of its linear algebra, which no compiled formula calls. Workers that need
+# SciPy import it later.
+_HIDDEN = sys.modules.setdefault("scipy", None) is None  # type: ignore[arg-type]
+# Without numba all is plain. A wrong variable is reported by the work itself.
+with suppress(PackageNotFoundError, VariableError):
+    load_compiled_code()
+if _HIDDEN:
+    del sys.modules["scipy"]
