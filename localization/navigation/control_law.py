@@ -27,7 +27,20 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, POSE, Floats, Number, add, atan2, clip, difference, hypot, wrap_angle
+from localization.filters.belief import (
+    HEADING,
+    POSE,
+    Floats,
+    Number,
+    add,
+    atan2,
+    choose,
+    clip,
+    difference,
+    hypot,
+    unit_vector,
+    wrap_angle,
+)
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import move, step_between
 from localization.filters.update import OUTLIER_THRESHOLD, Refusal
@@ -48,6 +61,7 @@ MIN_FRACTION: Final = 0.1
 """Smaller fractions count as 0; otherwise the robot would approach its stopping point for ever."""
 _RECEDING_IN: Final = 0.05
 _MIN_LENGTH_IN: Final = 1e-6
+_MIN_SINE: Final = 1e-12
 
 
 class VelocityCommand(NamedTuple):
@@ -292,8 +306,10 @@ def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
     return np.stack(np.broadcast_arrays(*step_to(x, y, heading, goal[..., 0], goal[..., 1], gains)), axis=-1)
 
 
-def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
-    """Return a step towards a goal that is shortened until the robot's turning circle reaches the goal.
+def slow_for_turn(
+    drho: Number, x: Number, y: Number, heading: Number, goal_x: Number, goal_y: Number, gains: ControlGains
+) -> Number:
+    """Return the length of a step towards a goal, shortened until the robot's turning circle reaches the goal.
 
     A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii
     beside the straight line. A goal aside is approached with the component of the step towards it, so that the arc
@@ -301,26 +317,26 @@ def slow_for_turn(step: Floats, pose: Floats, goal: Floats, gains: ControlGains)
 
     Parameters
     ----------
-    step : (..., 2) array
-        drho in inches and dtheta in radians, of `next_step`.
-    pose : (..., 3) array
-        x, y in inches, heading in radians.
-    goal : (..., 2) array
-        x, y in inches.
-    gains : ControlGains
+    drho
+        Length of the step of `next_step`, inches.
+    x, y, heading
+        Pose, inches and radians.
+    goal_x, goal_y
+        Inches.
 
     Returns
     -------
-    (..., 2) array
+    number
         The arc from the pose through a goal at the distance d and the bearing error delta has the radius
         d / (2 sin abs(delta)): drho is at most dtheta_max times this, and at most cos(delta) times that of the step; 0
         where abs(delta) is 90 degrees or more.
     """
-    delta = np.abs(bearing_error(pose, goal))
-    with np.errstate(divide="ignore"):
-        longest = gains.dtheta_max_rad * distance_to(pose, goal) / (2.0 * np.sin(delta))
-    towards = np.maximum(step[..., 0] * np.cos(delta), 0.0)
-    return np.stack((np.minimum(towards, longest), step[..., 1]), axis=-1)
+    cosine, sine = unit_vector(wrap_angle(atan2(goal_y - y, goal_x - x) - heading))
+    towards = clip(drho * cosine, 0.0, inf)
+    # No division by zero: ahead, any length is allowed.
+    longest = gains.dtheta_max_rad * hypot(goal_x - x, goal_y - y) / clip(2.0 * abs(sine), _MIN_SINE, 2.0)
+    shortened: Number = choose(towards < longest, towards, longest)
+    return shortened
 
 
 TURN_RAD_S: Final = 0.4

@@ -70,7 +70,10 @@ def test_slowed_robot_stays_near_the_straight_leg(distance: float) -> None:
     poses[:, 2] = angles
     beside = np.zeros(25)
     for _ in range(400):
-        poses = move(poses, slow_for_turn(next_step(poses, goals, gains), poses, goals, gains))
+        steps = next_step(poses, goals, gains)
+        x, y, heading = poses.T
+        steps[:, 0] = slow_for_turn(steps[:, 0], x, y, heading, goals[:, 0], goals[:, 1], gains)
+        poses = move(poses, steps)
         beside = np.maximum(beside, np.abs(poses[:, 1]))
     assert is_reached(poses, goals, 0.5).all()
     # A half circle through the goal, or one of the smallest radius, 10 in.
@@ -84,12 +87,13 @@ def test_a_step_is_shortened_aside_and_inside_the_turning_circle() -> None:
     # Far away the component of the step towards the goal counts; half as far as the circle, half of its radius.
     for factor, expected in ((100.0, 0.5 * np.cos(bearings[1:])), (0.5, np.minimum(0.25, 0.5 * np.cos(bearings[1:])))):
         distance = factor * on_circle[1:]
-        goals = np.stack((distance * np.cos(bearings[1:]), distance * np.sin(bearings[1:])), axis=-1)
-        step = slow_for_turn(np.full((3, 2), 0.5), np.zeros((3, 3)), goals, gains)
-        assert step[:, 0] == pytest.approx(expected)
-    ahead, behind = np.array([5.0, 0.0]), np.array([-50.0, 1.0])
-    assert slow_for_turn(np.array([0.5, 0.0]), np.zeros(3), ahead, gains).tolist() == [0.5, 0.0]
-    assert slow_for_turn(np.array([0.5, 0.05]), np.zeros(3), behind, gains).tolist() == [0.0, 0.05]
+        goal_x, goal_y, zeros = distance * np.cos(bearings[1:]), distance * np.sin(bearings[1:]), np.zeros(3)
+        assert slow_for_turn(np.full(3, 0.5), zeros, zeros, zeros, goal_x, goal_y, gains) == pytest.approx(expected)
+        # One robot is computed in floats.
+        for goal, length in zip(zip(goal_x.tolist(), goal_y.tolist(), strict=True), expected, strict=True):
+            assert slow_for_turn(0.5, 0.0, 0.0, 0.0, *goal, gains) == pytest.approx(length)
+    assert slow_for_turn(0.5, 0.0, 0.0, 0.0, 5.0, 0.0, gains) == 0.5
+    assert slow_for_turn(0.5, 0.0, 0.0, 0.0, -50.0, 1.0, gains) == 0.0
 
 
 def test_reached_means_within_the_radius() -> None:
