@@ -259,8 +259,9 @@ def version() -> str:
     return metadata.version(DISTRIBUTION)
 
 
+@functools.cache
 def entry_points(group: str) -> EntryPoints:
-    """Return the entry points of a group."""
+    """Return the entry points of a group. Cached: selecting them takes half a millisecond."""
     found: EntryPoints = _all_entry_points().select(group=group)
     return found
 

@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
 from inspect import isfunction
 from pathlib import Path
@@ -67,8 +67,14 @@ def mark_path(name: str, sources: int) -> Path:
         numba is not installed.
     """
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__")
-    key = crc32(f"{version('numba')} {sys.implementation.cache_tag}".encode(), sources)
+    key = crc32(f"{_numba_version()} {sys.implementation.cache_tag}".encode(), sources)
     return folder / f"compiled.{name}.{key:08x}"
+
+
+@cache
+def _numba_version() -> str:
+    """Return the installed version, or raise PackageNotFoundError. Cached: reading the metadata takes a millisecond."""
+    return version("numba")
 
 
 def write_mark(mark: Path) -> None:

@@ -234,8 +234,9 @@ class WorldFile(Table):
             raise InvalidValue("expected at least one [[room]], [[wall]] or [[obstacle]], found none")
 
 
+@functools.lru_cache(maxsize=8)
 def parse_world(text: str, file: str, name: str) -> World:
-    """Return the world of a TOML text.
+    """Return the world of a TOML text. Cached, as simulation and filter of a process read the same one.
 
     Parameters
     ----------
