@@ -146,6 +146,8 @@ a fifth of the readings outliers, and an unknown scale. `_line`: the same over t
 
 # The range of an N150's sonars: 6 in is the shortest reading, 255 means no echo.
 MIN_OUTLIER_IN, MAX_OUTLIER_IN = MIN_SONAR_IN, MAX_SONAR_IN
+_OUTLIERS_IN: Final = (MIN_OUTLIER_IN, MAX_OUTLIER_IN + 1)
+"""Lowest outlier, and the end of the range."""
 
 
 class BadReadings:
@@ -160,29 +162,25 @@ class BadReadings:
         self._late_s = [schedule.order.index(sonar) * schedule.interval_s for sonar in range(len(schedule.order))]
         self._round_s = schedule.round_s
         # By sonar: number of the last round, and the outlier of that round (None: the true reading).
-        self._replaced: dict[int, tuple[int, int | None]] = {}
+        self._rounds: list[int | None] = [None] * len(schedule.order)
+        self._instead: list[int | None] = [None] * len(schedule.order)
 
     def apply(self, state: SensorInput) -> SensorInput:
         """Return the state with outliers, as the filter receives it."""
         if not self._fraction or state.clock_s is None:
             return state
-        readings = [self._reading(sonar, state.clock_s, int(reading)) for sonar, reading in enumerate(state.sonars_in)]
+        since_s, rounds, instead = state.clock_s - self._schedule.start_s, self._rounds, self._instead
+        for sonar, late_s in enumerate(self._late_s):
+            # 1. Round of the firing that the reading is from.
+            turn = int((since_s - late_s) // self._round_s)
+            # 2. A new firing: draw whether it is an outlier, and its range. Later states repeat the same reading, and
+            #    so the same decision.
+            if turn != rounds[sonar]:
+                is_bad, range_in = self._rng.random() < self._fraction, self._rng.integers(*_OUTLIERS_IN)
+                rounds[sonar], instead[sonar] = turn, int(range_in) if is_bad else None
+        pairs = zip(state.sonars_in, instead, strict=True)
+        readings = [int(reading) if outlier is None else outlier for reading, outlier in pairs]
         return with_readings(state, tuple(readings))
-
-    def _reading(self, sonar: int, clock_s: float, reading_in: int) -> int:
-        # 1. Round of the firing that this reading is from.
-        since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
-        turn = int(since_s // self._round_s)
-        # 2. A new firing: draw whether it is an outlier, and its range.
-        if self._replaced.get(sonar, (None, None))[0] != turn:
-            bad, instead = (
-                self._rng.random() < self._fraction,
-                int(self._rng.integers(MIN_OUTLIER_IN, MAX_OUTLIER_IN + 1)),
-            )
-            self._replaced[sonar] = turn, instead if bad else None
-        # 3. Later states repeat the same reading, and so the same decision.
-        instead_in = self._replaced[sonar][1]
-        return reading_in if instead_in is None else instead_in
 
 
 Timer = Callable[[], float]

@@ -208,7 +208,7 @@ def heading_tenths(angle_rad: float) -> int:
 
 def clamp_word(value: int) -> int:
     """Clamp to the range of a signed 32-bit word."""
-    return max(-WORD_LIMIT, min(WORD_LIMIT - 1, value))
+    return value if -WORD_LIMIT <= value < WORD_LIMIT else max(-WORD_LIMIT, min(WORD_LIMIT - 1, value))
 
 
 def wrap_word(value: int) -> int:

@@ -302,9 +302,12 @@ class Traces:
             return
         self._interval = interval
         for robot_id, robot in robots.items():
+            if robot_id not in self.actual:
+                self.actual[robot_id], self.encoder[robot_id] = Trace(), Trace()
             x, y, _ = robot.disc
-            self.actual.setdefault(robot_id, Trace()).add(x, y)
-            self.encoder.setdefault(robot_id, Trace()).add(robot.encoder.x_in, robot.encoder.y_in)
+            self.actual[robot_id].add(x, y)
+            encoder = robot.encoder
+            self.encoder[robot_id].add(encoder.x_in, encoder.y_in)
 
     def to_state(self) -> TracesState:
         """Return the state for a snapshot."""

@@ -80,7 +80,6 @@ from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
 from nserver_emu.simulation.sensors import LineFit, lines, pixels, points
 from nserver_emu.simulation.simulation import Simulation
-from worlds.rings import Ring
 from worlds.world import World
 
 # Limits of the ratio of simulated to real time.
@@ -406,15 +405,16 @@ def sonar_words(robot: SimulatedRobot) -> tuple[int, ...]:
 
     Of a larger ring these are the first 16; the slots that a smaller one leaves have no echo.
     """
-    ring, readings = robot.model.body.ring, robot.sonar.readings_in[:SONAR_SLOTS]
-    words = [_sonar_word(reading, ring) for reading in readings]
+    no_echo_in, readings = robot.model.body.ring.no_echo_in, robot.sonar.readings_in[:SONAR_SLOTS]
+    words = [MAX_SONAR_IN if reading == no_echo_in else _sonar_word(reading) for reading in readings]
     return (*words, *[MAX_SONAR_IN] * (SONAR_SLOTS - len(words)))
 
 
-def _sonar_word(reading_in: float, ring: Ring) -> int:
-    if reading_in == ring.no_echo_in:
-        return MAX_SONAR_IN
-    return min(max(math.floor(reading_in + 0.5), MIN_SONAR_IN), MAX_SONAR_IN) if reading_in else 0
+def _sonar_word(reading_in: float) -> int:
+    word = math.floor(reading_in + 0.5)
+    if MIN_SONAR_IN <= word <= MAX_SONAR_IN:
+        return word
+    return min(max(word, MIN_SONAR_IN), MAX_SONAR_IN) if reading_in else 0
 
 
 INFRARED: Final = StateSensor(
@@ -436,8 +436,9 @@ COMPASS: Final = StateSensor(
 )  # fmt: skip
 STATE_SENSORS: Final = (INFRARED, SONAR, BUMPER, COMPASS)
 
-# The parts of State that a mask can exclude: first slot, end slot, values.
-_PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], ...]] = (
+# A part of State that a mask can exclude: first slot, end slot, values.
+_Part = tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]]
+_PARTS: Final[tuple[_Part, ...]] = (
     *((sensor.slots.start, sensor.slots.stop, sensor.state_values) for sensor in STATE_SENSORS),
     (34, 38, pose_tenths),
     (38, 41, velocity_tenths),
@@ -456,15 +457,18 @@ class StateSnapshot:
         moving = robot.moving
         self._slots = [0] * STATE_SIZE
         self._slots[0], self._slots[_MOTORS_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
-        self._missing = list(_PARTS)
+        self._missing: Sequence[_Part] = _PARTS
 
     def slots(self, mask: Mask = EVERYTHING) -> list[int]:
         """Return State[0..44], valid in the slots that the mask includes; callers must not change the list."""
-        if self._missing:
-            needed = [part for part in self._missing if mask.whole or any(mask.smask[part[0] : part[1]])]
-            for first, end, values in needed:
+        missing = []
+        for part in self._missing:
+            first, end, values = part
+            if mask.whole or any(mask.smask[first:end]):
                 self._slots[first:end] = values(self._robot)
-            self._missing = [part for part in self._missing if part not in needed]
+            else:
+                missing.append(part)
+        self._missing = missing
         return self._slots
 
 

@@ -82,12 +82,10 @@ class MotionNoise:
 
         Draws twice if anything moves and there is noise; otherwise returns the same object without drawing.
         """
-        duration = segment.duration_s
-        distance, angle = segment.distance_at(duration), segment.turn_at(duration)
-        if self == NO_NOISE or (distance == 0.0 and angle == 0.0):
+        alphas, duration = (self.alpha1, self.alpha2, self.alpha3, self.alpha4), segment.duration_s
+        if not any(alphas) or (segment.distance_at(duration) == 0.0 and segment.turn_at(duration) == 0.0):
             return segment
         # Both numbers are drawn, even if one variance is 0: the stream must not depend on the parameters.
-        alphas = (self.alpha1, self.alpha2, self.alpha3, self.alpha4)
         return disturbed_segment(segment, alphas, rng.standard_normal(), rng.standard_normal())
 
 
