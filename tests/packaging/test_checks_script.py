@@ -65,7 +65,7 @@ def test_failure_of_any_part_fails_the_run(checkout: Path, fails: str, code: int
     if fails != "ruff":
         # Every other part runs all the same; the output of those in the background comes in one piece.
         ran = [line.removeprefix("ran ") for line in shown.splitlines() if line.startswith("ran ")]
-        assert ran == ["ruff", "long", "mypy", "lint-imports", "fuzz", "short"]
+        assert ran == ["ruff", "long", "short", "mypy", "lint-imports", "fuzz"]
     assert ("FAILED" in errors) == (fails in ("mypy", "lint-imports", "fuzz", "short"))
 
 
