@@ -1,6 +1,6 @@
 // Sets up the page: one scene, one connection, the map and the windows. Redraws at most once per frame after changes.
 
-import { emptyScene, applyPicture } from './scene.js';
+import { emptyScene, applyPicture, changesMap } from './scene.js';
 import { readTheme } from './colours.js';
 import { openLink } from './link.js';
 import { openReplay } from './replay.js';
@@ -169,14 +169,15 @@ function onPoseRequests(robots) {
 }
 
 function onPicture(picture) {
-  const before = app.scene.world?.name;
+  const before = app.scene.world?.name, isChanged = changesMap(app.scene, picture);
   applyPicture(app.scene, picture);
   // Another world is shown as a whole.
   if (before !== undefined && app.scene.world.name !== before) app.map.fitted = false;
   if ('world' in picture) part('world-name').textContent = picture.world.title || picture.world.name;
   if ('bodies' in picture) listRobots();
   updateBanner();
-  redrawAll();
+  if (isChanged) app.map.requestRedraw();
+  needsUpdate = true;
 }
 
 function listRobots() {
@@ -259,7 +260,7 @@ part('save').addEventListener('beforetoggle', () => { part('save-run').textConte
 for (const query of ['(prefers-color-scheme: dark)', '(prefers-contrast: more)']) {
   matchMedia(query).addEventListener('change', () => { app.theme = readTheme(); redrawAll(); });
 }
-setInterval(() => { needsUpdate = true; showConnection(); }, 1000);  // ages of data grow without messages
+setInterval(() => { redrawAll(); showConnection(); }, 1000);  // ages of data grow without messages
 
 const CONNECTION_TEXTS = { live: 'live', lost: 'connection lost: reconnecting',
   rejected: 'nserver was restarted: open the address that it printed',

@@ -12,6 +12,15 @@ export function emptyScene() {
   };
 }
 
+// Parts of every picture; `robots` and `walkers` may be as before, and time is not drawn.
+const FIXED_PARTS = new Set(['type', 'frame', 'since', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots', 'walkers']);
+
+// Return true if the picture changes anything that the map shows.
+export function changesMap(scene, picture) {
+  return Object.keys(picture).some((part) => !FIXED_PARTS.has(part))
+    || JSON.stringify([scene.robots, scene.walkers]) !== JSON.stringify([picture.robots, picture.walkers ?? []]);
+}
+
 export function applyPicture(scene, picture) {
   if (picture.since === 0) {
     scene.traces = {};

@@ -42,6 +42,24 @@ def test_robot_on_canvas_follows_state(browser: Browser) -> None:
         assert page.pixel(30, 30) != floor
 
 
+def test_map_is_drawn_only_when_something_changes(browser: Browser) -> None:
+    start = "(window.drawn = 0, window.first = nserver.scene.frame, window.begun_ms = performance.now(), true)"
+    # Ages of data are drawn once a second.
+    more_often = "drawn > 2 + (performance.now() - begun_ms) / 1000"
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
+        # Each drawing fills the map once.
+        page.value("""(() => { const pen = nserver.map.canvas.getContext('2d'), fill = pen.fillRect.bind(pen);
+            pen.fillRect = (...box) => { window.drawn += 1; fill(...box); }; })()""")
+        page.wait(start)
+        page.wait("nserver.scene.frame >= first + 20")
+        assert not page.value(more_often)
+        with program.robot() as robot:
+            robot.drive(translation_in_s=2)
+            page.wait("nserver.scene.robots['1'].actual[0] > 20.2")
+            page.wait(start)
+            page.wait(more_often)
+
+
 def test_beams_stay_until_robot_is_placed(browser: Browser) -> None:
     beams = """import('/page/export.js').then((m) => m.svgOf(nserver).split('<path ').filter((path) =>
         path.includes(`stroke="${nserver.theme.sonar}"`)).map((path) => path.split('"')[1]))"""
