@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -34,20 +33,25 @@ class OpenPage:
     page: Page
     errors: list[str] = field(default_factory=list)
 
-    def wait(self, condition: str, timeout_s: float = TIMEOUT_S, action: Callable[[], object] = lambda: None) -> None:
-        """Wait until a JavaScript condition is true, calling `action` before each check.
+    def wait(self, condition: str, timeout_s: float = TIMEOUT_S) -> None:
+        """Wait until a JavaScript condition is true.
 
-        The page's application is the variable `nserver`. The condition is polled from here, because the page's content
-        security policy forbids Playwright's own polling.
+        The page's application is the variable `nserver`. The page itself checks the condition again and again, as a
+        call from here takes milliseconds; its content security policy forbids Playwright's own function for that.
         """
-        deadline = time.monotonic() + timeout_s
-        action()
-        while not self.page.evaluate(condition):
-            if time.monotonic() > deadline:
-                notice = self.page.inner_text("#notice")
-                raise AssertionError(f"time-out: {condition}" + (f"; the page shows {notice!r}" if notice else ""))
-            self.page.wait_for_timeout(PAUSE_MS)
-            action()
+        is_true = self.page.evaluate(
+            f"""new Promise((resolve, reject) => {{
+            const end_ms = performance.now() + {1000.0 * timeout_s};
+            const check = async () => {{
+                if (await ({condition})) resolve(true);
+                else if (performance.now() > end_ms) resolve(false);
+                else setTimeout(() => check().catch(reject), {PAUSE_MS});
+            }};
+            check().catch(reject); }})"""
+        )
+        if not is_true:
+            notice = self.page.inner_text("#notice")
+            raise AssertionError(f"time-out: {condition}" + (f"; the page shows {notice!r}" if notice else ""))
 
     def value(self, expression: str) -> Any:
         """Return the value of a JavaScript expression."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from playwright.sync_api import Browser
 
 from tests.integration.viewer.browsing import nserver, open_page
+from tests.waiting import wait_until
 
 LOG = "document.querySelector('#window-traffic .log')"
 
@@ -14,7 +15,8 @@ def test_traffic_is_shown_and_filtered(browser: Browser) -> None:
         robot.refresh()
         page.page.click("#window-traffic > summary")
         page.wait("nserver.link && document.querySelector('#window-traffic').open")
-        page.wait(f"{LOG}.childElementCount > 0", action=robot.refresh)
+        # The server learns that the window is open from a message that may come after the first request.
+        wait_until(lambda: bool(robot.refresh() and page.value(f"{LOG}.childElementCount > 0")))
         robot.drive(translation_in_s=5)
         robot.refresh()
         page.wait(f"{LOG}.innerText.includes('> vm 50 0 0')")
