@@ -48,6 +48,7 @@ from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
 from localization.mapping.loops import close_loops
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
+from localization.mapping.repeats import weigh_ranges
 from localization.mapping.walls import (
     MAX_SPAN_IN,
     MIN_CORNER_RAD,
@@ -156,6 +157,7 @@ class MapLearner:
             if not revise(self.estimate):
                 break
         tie_points(self.estimate)
+        weigh_ranges(self.estimate)
         self.estimate.optimize(LAST_STEPS)
 
 

@@ -133,6 +133,13 @@ class Trajectory:
         (e,) readings.
     std_in
         (e,) standard deviation of a reading.
+    weight
+        (e,) how much a reading counts, 1 or less if it repeats the error of others (`repeats.py`).
+    noise_var_in2, other_var_in2, heading_var_in2
+        (e,) parts of the variance: of the sonar's noise before rounding, of rounding and of the surface, and of the
+        heading of a ray that meets its wall at 45 degrees, 0 for cones.
+    step_in
+        Step to which readings are rounded.
     readings
         Number of all readings, with those without an echo.
     is_too_near
@@ -151,6 +158,11 @@ class Trajectory:
     axes_rad: Floats
     readings_in: Floats
     std_in: Floats
+    weight: Floats
+    noise_var_in2: Floats
+    other_var_in2: Floats
+    heading_var_in2: Floats
+    step_in: float
     readings: int
     is_too_near: npt.NDArray[np.bool_]
 
@@ -493,16 +505,19 @@ def build_trajectory(
     readings = log.readings_in[firing]
     is_range = (readings > sonar.lowest_in) & (readings < sonar.highest_in)
     # The variance of a map's place is left out: here walls are estimated.
-    variance = sonar.variance(readings) - sonar.place_var_in2 + roughness_in**2
+    noise_var = sonar.variance(readings) - sonar.place_var_in2 - sonar.rounding_var_in2
+    other = np.full(len(readings), sonar.rounding_var_in2 + roughness_in**2)
     # The heading wanders while the robot turns, between the node and the reading. A ray r that meets a wall at an
     # angle a off its normal changes by r tan(a) a radian; a is taken for 45 degrees.
+    slanted = np.zeros(len(readings))
     if rays:
         turn = np.abs(wrap_angle(poses[:, HEADING] - heading))
-        variance += process_variance(np.hypot(offset[:, 0], offset[:, 1]), turn, noise)[1] * np.square(readings)
-    std = np.sqrt(variance)
+        slanted = process_variance(np.hypot(offset[:, 0], offset[:, 1]), turn, noise)[1] * np.square(readings)
+    std = np.sqrt(noise_var + other + slanted)
     return Trajectory(
         instants, nodes[:, :POSE], steps, root, by_parameters, np.flatnonzero(moving), node[is_range], sonars[is_range],
-        mounts[is_range], axes[is_range], readings[is_range], std[is_range], len(readings),
+        mounts[is_range], axes[is_range], readings[is_range], std[is_range], np.ones(int(is_range.sum())),
+        noise_var[is_range], other[is_range], slanted[is_range], (12.0 * sonar.rounding_var_in2) ** 0.5, len(readings),
         np.asarray((log.readings_in[groups] <= sonar.lowest_in).any(axis=1), dtype=np.bool_),
     )  # fmt: skip
 

@@ -137,8 +137,8 @@ class RangePrediction:
 class LinearEchoes:
     """Range and bearing of the explained echoes (e,), linearized.
 
-    `residuals` (e, 2) are in standard deviations, `weighted` times the root of the robust weight, as the derivatives by
-    the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at` (e, 4) of the border, `by_border`
+    `residuals` (e, 2) are in standard deviations, `weighted` times the root of the weight (the robust one, and that of
+    the reading), as the derivatives by the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at` (e, 4) of the border, `by_border`
     (e, 2, 4).
     """
 
@@ -257,6 +257,13 @@ class MapProblem:
             has_fixed_map=self.has_fixed_map,
         )  # fmt: skip
 
+    def with_trajectory(self, trajectory: Trajectory) -> MapProblem:
+        """Return the same problem with other measurements."""
+        return MapProblem(
+            trajectory, self._parameters - len(PARAMETER_STDS), rays=self.rays, robust=self.robust,
+            has_fixed_map=self.has_fixed_map,
+        )  # fmt: skip
+
     def initial(self) -> MapState:
         """Return the first pose at the origin, nothing else, and an ideal robot."""
         return MapState(np.zeros((1, POSE)), np.empty((0, WALL)), np.empty((0, POINT)), np.zeros(self._parameters))
@@ -323,8 +330,9 @@ class MapProblem:
 
     def cost(self, state: MapState, assignment: Assignment) -> float:
         """Return twice the negative log-likelihood of all, up to a constant."""
-        _, residuals, _ = self.range_residuals(state, assignment)
+        echoes, residuals, _ = self.range_residuals(state, assignment)
         ranges = robust_cost(residuals[:, 0]) if self.robust else np.square(residuals[:, 0])
+        ranges *= self.trajectory.weight[echoes]
         unexplained = int((self.trajectory.node < len(state.poses)).sum()) - len(residuals)
         return float(
             np.square(self.odometry(state)[0]).sum()
@@ -392,7 +400,9 @@ class MapProblem:
         echoes, residuals, prediction = self.range_residuals(state, assignment)
         # 1. Jacobians in standard deviations, times the root of the robust weight.
         std = self.trajectory.std_in[echoes]
-        scale = np.sqrt(robust_weight(residuals[:, 0])) if self.robust else np.ones(len(echoes))
+        scale = np.sqrt(self.trajectory.weight[echoes])
+        if self.robust:
+            scale *= np.sqrt(robust_weight(residuals[:, 0]))
         weighted = residuals * np.stack((scale, np.ones_like(scale)), axis=-1)
         by_range = scale / std
         by_bearing = np.where(residuals[:, 1] == 0.0, 0.0, 1.0 / POINT_BEARING_STD_RAD)
