@@ -8,27 +8,41 @@ The sum is tested for the whole drive, for each wall and point, and for each loo
 feature to the first one after the robot comes back to it: a loop that is closed at the wrong place, or a wall that is
 two, is a small part of a long drive.
 
+A feature that was measured early, and again after the robot had left it, is solved as two, of which the late one lies d
+beside the early one. Without a step of the others, d = E^-1 e with the covariance E^-1, and
+
+    e' E^-1 e    is chi-square distributed with 2 degrees of freedom for each feature, if both are one
+
+for each feature alone, and for all of them together: a bent path moves many by a little (score test). E and e are those
+of the unknowns d after all others are eliminated from the normal equations.
+
+What a map should explain are the ranges that repeat: those that agree with the one before or after of the same sonar,
+as any smooth surface does. Random readings do not, and are left out.
+
 Neighbouring echoes of a feature err alike, by rounding and by the wall's surface. With the correlation rho of
 neighbours n squares vary as n (1 - rho^2) / (1 + rho^2) independent ones do. No correlation is accepted beyond that of
 the errors that can repeat, as a wrong map's residuals are correlated as well.
 
 References
 ----------
-Baarda, A Testing Procedure for Use in Geodetic Networks (1968): redundancy numbers 1 - h, tests of parts. Bayley,
-Hammersley, The Effective Number of Independent Observations in an Autocorrelated Time Series (1946).
+Rao, Large Sample Tests of Statistical Hypotheses Concerning Several Parameters (1948): the score test. Baarda, A
+Testing Procedure for Use in Geodetic Networks (1968): redundancy numbers 1 - h, tests of parts. Bayley, Hammersley, The
+Effective Number of Independent Observations in an Autocorrelated Time Series (1946).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import POSE, Floats, chi_square_quantile
-from localization.mapping.association import MapEstimate, segments_of
-from localization.mapping.measurements import Indices
-from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, Assignment, MapProblem, MapState
+from localization.filters.belief import HEADING, POSE, Floats, chi_square_quantile, wrap_angle
+from localization.mapping.association import MapEstimate, Mask, segments_of
+from localization.mapping.measurements import Indices, Trajectory, rotate
+from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, WALL, Assignment, MapProblem, MapState
+from localization.mapping.solver import NormalEquations
 
 RISK: Final = 0.001
 """Probability with which a sound drive fails the test of the whole, or one of those of all parts."""
@@ -41,14 +55,25 @@ LOOP_NODES: Final = 40
 STRETCH_NODES: Final = 40
 """Nodes of a stretch of which the explained ranges are counted: 20 s."""
 MIN_EXPLAINED: Final = 0.7
-"""Least fraction of the ranges that a map must explain."""
+"""Least fraction of the ranges that repeat which a map must explain."""
+MIN_EXPLAINED_OF_ALL: Final = 0.5
+"""The same of all ranges: of a map that most ranges contradict nothing is known."""
+REPEAT_NODES, REPEAT_SIGMAS = 4, 3.0
+"""A sonar measures twice in four nodes at least; readings of a surface differ by less, and by the robot's motion."""
+REPEAT_TANGENT: Final = 1.7
+"""Of 60 degrees: the steepest incidence of a ray at which its range should repeat while the robot turns."""
+LATE, LATE_MAP = "late ", "late map"
+"""Kinds of the parts that compare what was measured late with what was measured early."""
+MIN_RETURN_ECHOES: Final = 4
+"""Echoes before and after the robot had left a feature, that tell where each of both is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
     """A part of a drive: its place (2,), sum of squared residuals, degrees of freedom, and the quantile of the sum.
 
-    `kind` is "drive", "wall", "point" or "loop", which is at the place where the robot came back to a feature.
+    `kind` is "drive", "wall", "point" or "loop", which is at the place where the robot came back to a feature; of
+    `compare_returns` "late wall", "late point" or "late map".
     """
 
     kind: str
@@ -74,16 +99,13 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
     # 2. Echoes of each feature, in time.
     feature = estimate.assignment.feature[linear.echoes]
     groups = [np.flatnonzero(feature == number) for number in range(state.features)]
-    squares = max(float(ranges.sum()), 1e-9)
-    products = sum(float((r[1:] * r[:-1]).sum()) for r in (linear.residuals[group, 0] for group in groups))
-    rho = min(max(products / squares, 0.0), MAX_CORRELATION)
+    rho = _correlation(linear.residuals[:, 0], groups)
     effective = (1.0 - rho * rho) / (1.0 + rho * rho)
     # 3. The sums.
     walls, positions = len(state.walls), state.poses[:, :2]
-    middles = segments_of(state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
     parts = [
         ("wall" if number < walls else "point", place, float(ranges[group].sum()), float(free[group].sum()))
-        for number, (group, place) in enumerate(zip(groups, np.concatenate((middles, state.points)), strict=True))
+        for number, (group, place) in enumerate(zip(groups, _places(estimate), strict=True))
     ]
     parts += [
         ("loop", positions[end], float(steps[begin:end].sum()), float(free_steps[begin:end].sum()))
@@ -97,17 +119,139 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
     ]
 
 
+def _correlation(residuals: Floats, groups: Sequence[Indices]) -> float:
+    """Return the correlation of neighbouring residuals (e,) of each feature's echoes, from 0 to MAX_CORRELATION."""
+    squares = max(float(np.square(residuals).sum()), 1e-9)
+    products = sum(float((r[1:] * r[:-1]).sum()) for r in (residuals[group] for group in groups))
+    return min(max(products / squares, 0.0), MAX_CORRELATION)
+
+
+def _places(estimate: MapEstimate) -> Floats:
+    """Return the middles of walls, and points (f, 2)."""
+    middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
+    return np.concatenate((middles, estimate.state.points))
+
+
+def compare_returns(estimate: MapEstimate) -> list[Part]:
+    """Return the tests of features that were left and measured again: the late map first, then each feature.
+
+    Sums of correlated residuals vary as (1 + rho) / (1 - rho) those of independent ones do.
+    """
+    state = estimate.state
+    linear = estimate.problem.linearize_echoes(state, estimate.assignment)
+    feature = estimate.assignment.feature[linear.echoes]
+    groups = [np.flatnonzero(feature == number) for number in range(state.features)]
+    late = {
+        number: rows for number, group in enumerate(groups) if len(rows := _measured_again(group, linear.node[group]))
+    }
+    if not late:
+        return []
+    E, e = late_information(estimate, list(late.values()))
+    rho = _correlation(linear.residuals[:, 0], groups)
+    factor, places = (1.0 + rho) / (1.0 - rho), _places(estimate)
+    walls = len(state.walls)
+    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, RISK, factor))]
+    for row, number in enumerate(late):
+        own = slice(WALL * row, WALL * (row + 1))
+        kind = LATE + ("wall" if number < walls else "point")
+        parts.append(Part(kind, places[number], *_score(E[own, own], e[own], RISK / len(late), factor)))
+    return parts
+
+
+def _score(E: Floats, e: Floats, risk: float, factor: float) -> tuple[float, float, float]:
+    """Return e' E^-1 e, its degrees of freedom, and the quantile of a variance that is larger by a factor."""
+    return float(e @ np.linalg.solve(E, e)), float(len(e)), chi_square_quantile(1.0 - risk, float(len(e))) * factor
+
+
+def _measured_again(group: Indices, nodes: Indices) -> Indices:
+    """Return the rows of a feature's echoes since it was measured again, by all of them and their nodes.
+
+    There are none if it was not. Of several returns, the one with most echoes on the side with fewer.
+    """
+    counts = np.flatnonzero(np.diff(nodes) > LOOP_NODES) + 1
+    if not len(counts):
+        return group[:0]
+    count = int(counts[np.minimum(counts, len(group) - counts).argmax()])
+    return group[count:] if min(count, len(group) - count) >= MIN_RETURN_ECHOES else group[:0]
+
+
+def late_information(estimate: MapEstimate, late: Sequence[Indices]) -> tuple[Floats, Floats]:
+    """Return E (2k, 2k) and e (2k,) of the displacements of k features since they were measured again.
+
+    Parameters
+    ----------
+    estimate
+        A map at its optimum.
+    late
+        For each of these features the rows of its late echoes among the explained ones.
+    """
+    problem, state = estimate.problem, estimate.state
+    linear = problem.linearize_echoes(state, estimate.assignment)
+    N = problem.normal_equations(state, estimate.assignment)
+    first, size = len(N.border), len(N.border) + WALL * len(late)
+    # 1. Two more unknowns for each: its late echoes depend on them as on the feature.
+    C, D = np.zeros((*N.coupling.shape[:2], size)), np.zeros((size, size))
+    C[..., :first], D[:first, :first] = N.coupling, N.border
+    h = np.concatenate((N.border_gradient, np.zeros(size - first)))
+    for row, rows in enumerate(late):
+        own = slice(first + WALL * row, first + WALL * (row + 1))
+        J = linear.by_border[rows][:, :, :WALL]
+        np.add.at(C[..., own], linear.node[rows], linear.by_pose[rows].swapaxes(-1, -2) @ J)
+        np.add.at(D[:, own], linear.at[rows], linear.by_border[rows].swapaxes(-1, -2) @ J)
+        D[own, :first] = D[:first, own].T
+        D[own, own] = (J.swapaxes(-1, -2) @ J).sum(axis=0)
+        h[own] = -(J.swapaxes(-1, -2) @ linear.weighted[rows][..., None]).sum(axis=0)[:, 0]
+    # 2. Everything else is eliminated.
+    S, right = NormalEquations(N.diagonal, N.upper, C, D, N.pose_gradient, h).reduced()
+    others = np.linalg.solve(S[:first, :first], np.concatenate((S[:first, first:], right[:first, None]), axis=1))
+    B = S[:first, first:].T
+    return S[first:, first:] - B @ others[:, :-1], right[first:] - B @ others[:, -1]
+
+
+def repeated_ranges(trajectory: Trajectory, *, rays: bool) -> Mask:
+    """Return True (e,) for ranges that agree with the one before or after of the same sonar."""
+    # 1. Pairs of neighbours of each sonar, in time.
+    order = np.argsort(trajectory.sonar, kind="stable")
+    one, other = order[:-1], order[1:]
+    node, sonar, readings = trajectory.node, trajectory.sonar, trajectory.readings_in
+    agrees = (sonar[one] == sonar[other]) & (node[other] - node[one] <= REPEAT_NODES)
+    # 2. No range to a surface changes by more than the sonar has moved, but that of a ray that turns.
+    heading = trajectory.odometry[node, HEADING]
+    face = trajectory.odometry[node, :2] + rotate(trajectory.mounts, heading)
+    allowed = np.hypot(*(face[other] - face[one]).T)
+    allowed += REPEAT_SIGMAS * np.hypot(trajectory.std_in[one], trajectory.std_in[other])
+    if rays:
+        turn = np.abs(wrap_angle(np.diff((heading + trajectory.axes_rad)[order])))
+        allowed += REPEAT_TANGENT * turn * np.minimum(readings[one], readings[other])
+    agrees &= np.abs(readings[other] - readings[one]) <= allowed
+    repeats = np.zeros(len(node), dtype=np.bool_)
+    repeats[one[agrees]] = repeats[other[agrees]] = True
+    return repeats
+
+
+def explained_fractions(estimate: MapEstimate) -> tuple[float, float]:
+    """Return the fractions of all ranges, and of those that repeat, that a map explains."""
+    trajectory, rays = estimate.problem.trajectory, estimate.problem.rays
+    inside = trajectory.node < len(estimate.state.poses)
+    is_explained = estimate.assignment.feature != NO_FEATURE
+    repeats = inside & repeated_ranges(trajectory, rays=rays)
+    of_all, of_repeated = (float(is_explained[some].mean()) if some.any() else 0.0 for some in (inside, repeats))
+    return of_all, of_repeated
+
+
+def explains_enough(of_all: float, of_repeated: float) -> bool:
+    """Return True if a map explains enough of all ranges, and of those that repeat."""
+    return of_all >= MIN_EXPLAINED_OF_ALL and of_repeated >= MIN_EXPLAINED
+
+
 def is_consistent(estimate: MapEstimate) -> bool:
     """Return True if a map explains enough ranges, and these and the odometry do not contradict each other."""
-    feature = estimate.assignment.feature[estimate.echoes()]
-    if not len(feature) or float((feature != NO_FEATURE).mean()) < MIN_EXPLAINED:
-        return False
-    return all(part.excess <= 1.0 for part in check_parts(estimate))
+    return explains_enough(*explained_fractions(estimate)) and all(part.excess <= 1.0 for part in check_parts(estimate))
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A stretch of a drive: its middle (2,), the fraction of its ranges that the map explains, and their number."""
+    """A stretch of a drive: its middle (2,), the explained fraction of the ranges that repeat, and their number."""
 
     place: Floats
     explained: float
@@ -124,8 +268,10 @@ def least_explained(estimate: MapEstimate) -> Stretch | None:
 
     Where the path is bent or a wall is wrong, the echoes of a few metres fit nothing, which a long drive averages out.
     """
-    node, positions = estimate.problem.trajectory.node, estimate.state.poses[:, :2]
-    is_explained = estimate.assignment.feature != NO_FEATURE
+    trajectory, positions = estimate.problem.trajectory, estimate.state.poses[:, :2]
+    repeats = repeated_ranges(trajectory, rays=estimate.problem.rays)
+    node = trajectory.node[repeats]
+    is_explained = estimate.assignment.feature[repeats] != NO_FEATURE
     stretches = []
     for first in range(0, len(positions) - STRETCH_NODES + 1, STRETCH_NODES):
         echoes = (node >= first) & (node < first + STRETCH_NODES)

@@ -159,6 +159,7 @@ class MapLearner:
         tie_points(self.estimate)
         weigh_ranges(self.estimate)
         self.estimate.optimize(LAST_STEPS)
+        self.estimate.measure_extents()
 
 
 def revise(estimate: MapEstimate) -> int:

@@ -6,6 +6,7 @@ the robot stands at the end, so that `nomad localize --map room.toml` continues 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import degrees
 from pathlib import Path
@@ -16,11 +17,31 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.mapping.association import MapEstimate, crossings, segments_of
-from localization.mapping.consistency import MIN_EXPLAINED, Part, Stretch, check_parts, least_explained
+from localization.mapping.consistency import (
+    LATE,
+    LATE_MAP,
+    MIN_EXPLAINED,
+    MIN_EXPLAINED_OF_ALL,
+    Part,
+    Stretch,
+    check_parts,
+    compare_returns,
+    explained_fractions,
+    explains_enough,
+    least_explained,
+)
 from localization.mapping.learn import find_undecided
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
-from localization.mapping.walls import Piece, axes_rad, extract_walls, final_pose, parameter_covariance
+from localization.mapping.walls import (
+    MAX_STD_IN,
+    Piece,
+    axes_rad,
+    extract_walls,
+    final_pose,
+    parameter_covariance,
+    passed_walls,
+)
 from nclient.errors import NomadError
 from worlds.geometry import lengths, nearest_points
 from worlds.robots import Calibration, Spread
@@ -33,6 +54,8 @@ MIN_EXPLAINED_SOMEWHERE: Final = 0.6
 MAX_CHI_SQUARE: Final = 1.5
 """Highest sum of squared residuals per degree of freedom, 1 for a model that fits."""
 MIN_WALLS: Final = 2
+MIN_KNOWN: Final = 0.5
+"""Least fraction of the walls that must be known so well."""
 CROSSED_IN: Final = 2.0
 """A path that crosses a wall nearer to its end than this passes beside it."""
 POST_IN: Final = 1.0
@@ -62,12 +85,18 @@ class Quality:
         Middles (k, 2) of walls that are as probably one with another wall beside them.
     least
         The stretch of the drive of which the map explains the least; None for a drive shorter than one.
+    repeated
+        Fraction of the ranges that repeat that a wall or a point explains.
+    passed
+        Middles (k, 2) of walls through which sound has passed: the same place is in the map twice.
     """
 
     explained: float
     parts: tuple[Part, ...]
     undecided: Floats = field(default_factory=lambda: np.empty((0, 2)))
     least: Stretch | None = None
+    repeated: float = 1.0
+    passed: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def chi_square(self) -> float:
@@ -86,7 +115,8 @@ class Quality:
         if least is not None:
             least = replace(least, place=rotate(least.place, np.array(angle_rad)))
         undecided = rotate(self.undecided, np.full(len(self.undecided), angle_rad))
-        return replace(self, parts=parts, undecided=undecided, least=least)
+        passed = rotate(self.passed, np.full(len(self.passed), angle_rad))
+        return replace(self, parts=parts, undecided=undecided, least=least, passed=passed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +132,8 @@ class LearnedMap:
     rest: Floats = field(default_factory=lambda: np.zeros(POSE))
     unexplored: Floats | None = None
     """Places (n, 2) beyond which the room goes on; None if they were not looked for."""
+    uncertain: tuple[Piece, ...] = ()
+    """Walls whose standard deviation is too high (`highest_std_in`): they are not written."""
 
     @property
     def posts(self) -> Floats:
@@ -145,33 +177,49 @@ class LearnedMap:
     def reason_to_refuse(self) -> str:
         """Return why this map must not be used; "" if it is sound."""
         quality = self.quality
-        if len(self.walls) < MIN_WALLS:
+        if len(self.walls) + len(self.uncertain) < MIN_WALLS:
             return (
                 f"{len(self.walls)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
             )
-        if quality.explained < MIN_EXPLAINED:
+        if not explains_enough(quality.explained, quality.repeated):
             return (
-                f"its walls explain {quality.explained:.0%} of the ranges, at least {MIN_EXPLAINED:.0%} are needed: "
-                "--sonars is wrong, things moved, or the odometry is worse than --odometry-noise"
+                f"its walls explain {quality.explained:.0%} of the ranges and {quality.repeated:.0%} of those that "
+                f"repeat, at least {MIN_EXPLAINED_OF_ALL:.0%} and {MIN_EXPLAINED:.0%} are needed: --sonars is wrong, "
+                "things moved, or the odometry is worse than --odometry-noise"
             )
         if quality.least is not None and quality.least.at_most < MIN_EXPLAINED_SOMEWHERE:
             x, y = quality.least.place
             return (
-                f"near ({x:.0f}, {y:.0f}) its walls explain {quality.least.explained:.0%} of the ranges of 20 s, at "
-                f"least {MIN_EXPLAINED_SOMEWHERE:.0%} are needed everywhere: the path is bent there, or things moved; "
-                "drive there again, along the walls"
+                f"near ({x:.0f}, {y:.0f}) its walls explain {quality.least.explained:.0%} of the ranges of 20 s that "
+                f"repeat, at least {MIN_EXPLAINED_SOMEWHERE:.0%} are needed everywhere: the path is bent there, or "
+                "things moved; drive there again, along the walls"
             )
         if quality.chi_square > MAX_CHI_SQUARE:
             return (
                 f"ranges and encoders contradict each other: chi-square is {quality.chi_square:.2f} per degree of "
                 f"freedom, at most {MAX_CHI_SQUARE} is sound; --odometry-noise is too low, or --sonars is wrong"
             )
-        if (worst := quality.worst).excess > 1.0:
+        worst = quality.worst
+        if worst.excess > 1.0 and worst.kind.startswith(LATE):
+            place = "" if worst.kind == LATE_MAP else " at ({:.0f}, {:.0f})".format(*worst.place)
+            return (
+                f"what was measured late contradicts what was measured early: chi-square of the {worst.kind}{place} is "
+                f"{worst.total:.0f}, with {worst.freedom:.0f} degrees of freedom at most {worst.limit:.0f} is sound; "
+                "--odometry-noise is too low, or something moved; drive in smaller loops"
+            )
+        if worst.excess > 1.0:
             place = "" if worst.kind == "drive" else " at ({:.0f}, {:.0f})".format(*worst.place)
             return (
                 f"ranges and encoders contradict each other: chi-square of the {worst.kind}{place} is "
                 f"{worst.total:.0f}, with {worst.freedom:.0f} degrees of freedom at most {worst.limit:.0f} is sound; "
                 "--odometry-noise or --roughness is too low, --sonars is wrong, or something moved"
+            )
+        if len(quality.passed):
+            x, y = quality.passed[0]
+            return (
+                f"sound has passed through {len(quality.passed)} of its walls, such as the one at ({x:.0f}, {y:.0f}): "
+                "the same place is in the map twice, or something moved; drive in smaller loops, along walls and "
+                "corners that are in the map already"
             )
         if len(quality.undecided):
             x, y = quality.undecided[0]
@@ -185,6 +233,15 @@ class LearnedMap:
                 f"the path crosses {len(crossed)} of its walls, such as ({x1:.0f}, {y1:.0f})-({x2:.0f}, {y2:.0f}): the "
                 "robot came back to a place without recognizing it, or something moved; drive in smaller loops, along "
                 "walls and corners that are in the map already"
+            )
+        count = len(self.walls) + len(self.uncertain)
+        if len(self.walls) < max(MIN_KNOWN * count, MIN_WALLS):
+            stds = [wall.std_in for wall in self.uncertain]
+            lowest, highest = min(stds), max(stds)
+            return (
+                f"{len(self.walls)} of its {count} walls are known well enough, the others within {2.0 * lowest:.1f} "
+                f"to {2.0 * highest:.1f} in, twice their standard deviation; at least {MIN_KNOWN:.0%} are needed: "
+                "drive in smaller loops, along the walls, and come back to corners"
             )
         return ""
 
@@ -219,10 +276,14 @@ class LearnedMap:
             ],
             "points_in": self.points.tolist(),
             "posts_in": self.posts.tolist(),
+            "uncertain_in": [
+                {"ends_in": wall.ends.tolist(), "offset_std_in": wall.std_in} for wall in self.uncertain
+            ],
             "open_ends_in": self.open_ends,
             "unexplored_in": None if self.unexplored is None else self.unexplored.tolist(),
             "pose": self.pose.tolist(),
             "explained": self.quality.explained,
+            "explained_of_repeated": self.quality.repeated,
             "chi_square": self.quality.chi_square,
             "distance_scale": self.calibration.distance_scale,
             "turn_scale": self.calibration.turn_scale,
@@ -260,20 +321,31 @@ def describe(
     rest = np.zeros(POSE) if rest is None else rest
     if unexplored is not None:
         unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
+    # 2. Walls that are known well enough.
+    highest = highest_std_in(estimate)
+    known = tuple(wall for wall in turned if wall.std_in <= highest)
+    uncertain = tuple(wall for wall in turned if wall.std_in > highest)
     return LearnedMap(
-        tuple(turned), points, path, calibration_of(estimate), quality_of(estimate).turned(-turn), turret_rad, rest,
-        unexplored,
+        known, points, path, calibration_of(estimate), quality_of(estimate, walls).turned(-turn), turret_rad, rest,
+        unexplored, uncertain,
     )  # fmt: skip
 
 
-def quality_of(estimate: MapEstimate) -> Quality:
-    """Return how well a map explains its readings."""
-    count = len(estimate.problem.trajectory.node)
-    explained = int((estimate.assignment.feature != NO_FEATURE).sum())
+def highest_std_in(estimate: MapEstimate) -> float:
+    """Return the highest standard deviation of a wall that is written: that of a smooth one, and of its surface."""
+    trajectory = estimate.problem.trajectory
+    rough = trajectory.other_var_in2 - trajectory.step_in**2 / 12.0
+    return float(np.sqrt(MAX_STD_IN**2 + rough.mean()))
+
+
+def quality_of(estimate: MapEstimate, walls: Sequence[Piece]) -> Quality:
+    """Return how well a map, whose walls these are, explains its readings."""
     middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
     undecided = middles[[one for one, _ in find_undecided(estimate)]]
-    share = explained / count if count else 0.0
-    return Quality(share, tuple(check_parts(estimate)), undecided, least_explained(estimate))
+    of_all, of_repeated = explained_fractions(estimate)
+    parts = (*check_parts(estimate), *compare_returns(estimate))
+    passed = np.array([wall.ends.mean(axis=0) for wall in passed_walls(estimate, walls)]).reshape(-1, 2)
+    return Quality(of_all, parts, undecided, least_explained(estimate), of_repeated, passed)
 
 
 def calibration_of(estimate: MapEstimate) -> Calibration:
@@ -352,5 +424,10 @@ def summary(found: LearnedMap) -> str:
     )
     if found.unexplored is not None:
         lines += [f"not explored beyond ({x:.0f}, {y:.0f})" for x, y in found.unexplored]
+    lines += [
+        f"the wall at ({x:.0f}, {y:.0f}) is known within {2.0 * wall.std_in:.1f} in only, and not written: drive there"
+        for wall in found.uncertain
+        for x, y in [wall.ends.mean(axis=0)]
+    ]
     lines += [f"open end at ({x:.1f}, {y:.1f}): drive there to find its corner" for x, y in found.open_ends]
     return "\n".join(lines)

@@ -138,8 +138,8 @@ class LinearEchoes:
     """Range and bearing of the explained echoes (e,), linearized.
 
     `residuals` (e, 2) are in standard deviations, `weighted` times the root of the weight (the robust one, and that of
-    the reading), as the derivatives by the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at` (e, 4) of the border, `by_border`
-    (e, 2, 4).
+    the reading), as the derivatives by the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at`
+    (e, 4) of the border, `by_border` (e, 2, 4).
     """
 
     echoes: Indices

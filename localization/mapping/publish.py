@@ -20,13 +20,12 @@ from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate
 from localization.mapping.survey import SurveyStep
-from localization.mapping.walls import Piece, extract_walls
+from localization.mapping.walls import MAX_STD_IN, Piece, extract_walls
 
 PERIOD_S: Final = 0.25
 """Real seconds between two messages."""
-MAX_STD_IN: Final = 0.5
 MAX_STD_RAD: Final = radians(1.0)
-"""Of a certain wall: it is within 1 in and 2 degrees by two standard deviations."""
+"""Of a certain wall: it is within 2 degrees by two standard deviations, and within 1 in by MAX_STD_IN."""
 MIN_MEASURED: Final = 0.5
 """Least fraction of a certain wall on which something was measured."""
 

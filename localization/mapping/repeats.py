@@ -7,8 +7,8 @@ The errors of two readings in steps of q, of ranges m apart with noise of std ea
 
     q^2 sum_k cos(2 pi k m / q) exp(-4 pi^2 k^2 std^2 / q^2) / (2 pi^2 k^2)
 
-A reading of variance R that has the covariances c_j with its neighbours counts for R / (R + sum c_j) of one: the mean of
-n such readings then has the variance of the mean of correlated ones.
+A reading of variance R that has the covariances c_j with others of its feature counts for R / (R + sum c_j) of one: the
+mean of n such readings then has the variance of the mean of correlated ones.
 
 References
 ----------

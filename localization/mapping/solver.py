@@ -59,9 +59,14 @@ class NormalEquations:
         border: Floats = np.asarray(np.linalg.solve(reduced, right), dtype=np.float64)
         return poses[..., -1] - poses[..., :-1] @ border, border
 
+    def reduced(self) -> tuple[Floats, Floats]:
+        """Return S (m, m) and its right-hand side (m,): the border with all poses eliminated."""
+        _, reduced, right = self._eliminate(0.0)
+        return reduced, right
+
     def border_covariance(self) -> Floats:
         """Return S^-1 (m, m), the covariance of walls, points and parameters with all poses marginalized."""
-        covariance = np.linalg.inv(self._eliminate(0.0)[1])
+        covariance = np.linalg.inv(self.reduced()[0])
         return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 
     def covariance(self) -> Covariance:

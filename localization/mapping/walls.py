@@ -12,6 +12,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
@@ -29,6 +30,7 @@ from localization.mapping.association import (
     is_blocked,
     residual_matrix,
 )
+from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 from worlds.world import WallAccuracy
@@ -36,6 +38,8 @@ from worlds.world import WallAccuracy
 MIN_CROSSED_GAP_IN: Final = 3.0
 MIN_CROSSINGS: Final = 2
 """A single path across a wall may be a mistaken echo."""
+MIN_PASSED, MIN_PASSED_FRACTION = 5, 0.1
+"""So many paths of sound through a wall, and such a fraction of its echoes, are no mistakes."""
 MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
 MIN_PIECE_IN: Final = 4.0
@@ -72,6 +76,8 @@ ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle make no corner: its position would be uncertain."""
+MAX_STD_IN: Final = 0.5
+"""Highest standard deviation of a smooth wall that is written: beyond twice that, 1 in, a wall is a wrong one."""
 MIN_STD_IN: Final = 1e-4
 """Least standard deviation of a wall in a world file: its last decimal."""
 
@@ -176,7 +182,14 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
 
 def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     """Return starts and ends (p, 2) of free paths: of sound to the spots that reflected it, and of the robot."""
-    state, echoes = estimate.state, np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
+    face, spot, _ = _reflected_paths(estimate, estimate.assignment.feature != NO_FEATURE)
+    poses = estimate.state.poses[:, :2]
+    return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
+
+
+def _reflected_paths(estimate: MapEstimate, among: Mask) -> tuple[Floats, Floats, Indices]:
+    """Return starts and ends (p, 2) of the paths of sound of echoes `among` (e,), and the features (p,) they end at."""
+    state, echoes = estimate.state, np.flatnonzero(among)
     residual, sensors, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     feature = estimate.assignment.feature[echoes]
     rows = np.arange(len(echoes))
@@ -185,9 +198,30 @@ def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
     # The last inches before a reflecting spot may belong to another wall of the same corner.
     span = spot - face
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)[:, None]
-    spot = face + span * np.maximum(length - BLOCKED_IN, 0.0) / length
-    poses = state.poses[:, :2]
-    return np.concatenate((face, poses[:-1])), np.concatenate((spot, poses[1:]))
+    return face, face + span * np.maximum(length - BLOCKED_IN, 0.0) / length, feature[fits]
+
+
+def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
+    """Return the walls through which sound has passed to others of about their direction: the place is twice in a map.
+
+    A robot that comes back to a place and does not recognize it measures a second wall behind the first one. Ranges
+    that do not repeat are no evidence.
+    """
+    repeats = repeated_ranges(estimate.problem.trajectory, rays=estimate.problem.rays)
+    starts, ends, feature = _reflected_paths(estimate, repeats & (estimate.assignment.feature != NO_FEATURE))
+    is_wall = feature < len(estimate.state.walls)
+    starts, ends, angles = starts[is_wall], ends[is_wall], estimate.state.walls[feature[is_wall], 0]
+    found = []
+    for piece in pieces:
+        along = (piece.ends[1] - piece.ends[0]) / max(piece.length_in, 1e-9)
+        normal = np.array((-along[1], along[0]))
+        is_parallel = np.abs(np.cos(angles) * along[0] + np.sin(angles) * along[1]) < np.sin(MIN_CORNER_RAD)
+        at = crossed_at(starts[is_parallel], ends[is_parallel], normal, along, float(piece.ends[0] @ normal))
+        low, high = piece.ends @ along
+        passed = int(((at > low + BLOCKED_IN) & (at < high - BLOCKED_IN)).sum())
+        if passed >= max(MIN_PASSED, MIN_PASSED_FRACTION * piece.echoes):
+            found.append(piece)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,24 @@ import pytest
 from scipy.special import chdtri
 
 from localization.filters.belief import Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
-from localization.mapping.consistency import RISK, check_parts, is_consistent, least_explained, leverages
-from localization.mapping.learn import find_undecided
+from localization.mapping.consistency import (
+    RISK,
+    check_parts,
+    compare_returns,
+    is_consistent,
+    late_information,
+    least_explained,
+    leverages,
+    repeated_ranges,
+)
+from localization.mapping.learn import find_undecided, learn_map
+from localization.mapping.measurements import Indices, build_trajectory
 from localization.mapping.output import describe
 from localization.mapping.problem import NO_FEATURE, MapProblem
+from tests.localization.mapping.drives import drive
 from tests.localization.mapping.test_problem import dense, difference_jacobian, perturbed, trajectory
 
 __all__ = ["trajectory"]
@@ -131,7 +144,7 @@ def test_stretch_that_nothing_explains_refuses_the_map(estimate: MapEstimate) ->
     least, found = least_explained(worse), describe(worse)
     assert least is not None
     assert 0.4 < least.explained < 0.55
-    in_stretch = (node >= 40) & (node < 80)
+    in_stretch = (node >= 40) & (node < 80) & repeated_ranges(worse.problem.trajectory, rays=False)
     assert least.explained == pytest.approx(float((feature[in_stretch] != NO_FEATURE).mean()))
     count = int(in_stretch.sum())
     np.testing.assert_allclose(least.place, estimate.state.poses[40:80, :2].mean(axis=0))
@@ -140,3 +153,93 @@ def test_stretch_that_nothing_explains_refuses_the_map(estimate: MapEstimate) ->
     assert least.at_most - least.explained == pytest.approx(2.0 * std)
     assert found.quality.explained > 0.7
     assert "of the ranges of 20 s" in found.reason_to_refuse()
+
+
+# What was measured late, and early.
+
+
+def late_rows(estimate: MapEstimate, feature: int, node: int) -> Indices:
+    """Return the rows of a feature's echoes since a node, among the explained ones."""
+    explained = np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
+    nodes = estimate.problem.trajectory.node[explained]
+    return np.flatnonzero((estimate.assignment.feature[explained] == feature) & (nodes >= node))
+
+
+def test_late_displacement_is_that_of_a_map_with_two_walls(estimate: MapEstimate) -> None:
+    plain = estimate.copy()
+    plain.problem = estimate.problem.plain
+    wall = 1
+    rows = late_rows(plain, wall, 60)
+    E, e = late_information(plain, [rows])
+    # The same wall twice, the second one for the late echoes: its step less that of the first one.
+    double = plain.copy()
+    double.add_wall(plain.state.walls[wall], plain.extents[wall])
+    walls = len(plain.state.walls)
+    feature = double.assignment.feature.copy()
+    feature[np.flatnonzero(plain.assignment.feature != NO_FEATURE)[rows]] = walls
+    ties = plain.assignment.ties
+    double.assignment = replace(double.assignment, feature=feature, ties=ties)
+    equations = plain.problem.normal_equations(double.state, double.assignment)
+    _, step = equations.solve()
+    both = np.zeros((2, len(step)))
+    both[:, 2 * walls : 2 * walls + 2], both[:, 2 * wall : 2 * wall + 2] = np.eye(2), -np.eye(2)
+    covariance = both @ equations.border_covariance() @ both.T
+    np.testing.assert_allclose(np.linalg.inv(E), covariance, rtol=1e-4)
+    np.testing.assert_allclose(np.linalg.solve(E, e), both @ step, rtol=1e-3, atol=1e-6)
+
+
+def left_for_a_while(estimate: MapEstimate, shift_in: float) -> MapEstimate:
+    """Return a map without the echoes of wall 0 in the middle of the drive, its late ranges longer by a shift."""
+    node, feature = estimate.problem.trajectory.node, estimate.assignment.feature
+    feature = np.where((feature == 0) & (abs(node - 58) < 25), NO_FEATURE, feature)
+    changed = replace(estimate, assignment=replace(estimate.assignment, feature=feature))
+    trajectory = estimate.problem.trajectory
+    readings = trajectory.readings_in + np.where((feature == 0) & (node > 58), shift_in, 0.0)
+    changed.problem = changed.problem.with_trajectory(replace(trajectory, readings_in=readings))
+    changed.optimize(20)
+    return changed
+
+
+def test_wall_that_is_elsewhere_later_contradicts(estimate: MapEstimate) -> None:
+    parts = compare_returns(left_for_a_while(estimate, 0.0))
+    assert [part.kind for part in parts] == ["late map", "late wall"]
+    assert max(part.excess for part in parts) < 1.0
+    late, wall = compare_returns(left_for_a_while(estimate, 1.5))
+    assert (wall.freedom, late.freedom) == (2.0, 2.0)
+    assert wall.limit == pytest.approx(chdtri(2.0, RISK), rel=0.35)
+    assert wall.excess > 1.0
+    assert "what was measured late contradicts" in describe(left_for_a_while(estimate, 1.5)).reason_to_refuse()
+
+
+def test_features_in_sight_all_the_time_are_not_compared(estimate: MapEstimate) -> None:
+    assert compare_returns(estimate) == []
+
+
+@pytest.mark.parametrize("rays", [False, True])
+def test_random_readings_do_not_repeat(rays: bool) -> None:
+    log = drive(2, rays=rays)
+    rng = np.random.default_rng(5)
+    is_random = rng.random(len(log.readings_in)) < 0.2
+    readings = np.where(is_random, rng.uniform(7.0, 254.0, len(is_random)).round(), log.readings_in)
+    sound, mixed = (
+        build_trajectory(each, OdometryNoise(0.05, 0.05, 0.002), ConeSonar(), 0.15, rays=rays)
+        for each in (log, replace(log, readings_in=readings))
+    )
+    assert repeated_ranges(sound, rays=rays).mean() > 0.9
+    # The echoes of the trajectory are the firings of its groups that are ranges.
+    firings = np.concatenate([np.arange(8 * group, 8 * group + 8) for group in mixed.group])
+    firings = firings[(readings[firings] > 6.0) & (readings[firings] < 255.0)]
+    repeats = repeated_ranges(mixed, rays=rays)
+    assert repeats[~is_random[firings]].mean() > 0.85
+    assert repeats[is_random[firings]].mean() < 0.3
+
+
+def test_map_of_a_drive_with_random_readings_is_sound() -> None:
+    log = drive(2)
+    rng = np.random.default_rng(5)
+    is_random = rng.random(len(log.readings_in)) < 0.3
+    readings = np.where(is_random, rng.uniform(7.0, 254.0, len(is_random)).round(), log.readings_in)
+    found = describe(learn_map(replace(log, readings_in=readings), OdometryNoise(0.05, 0.05, 0.002), ConeSonar()))
+    assert found.quality.explained < 0.7
+    assert found.quality.repeated > 0.8
+    assert found.reason_to_refuse() == ""

@@ -135,7 +135,7 @@ def test_line_along_parts_of_two_walls_becomes_both() -> None:
     assert abs(np.degrees(wrong.state.walls[fronts[0], 0]) + 90.0) > 2.0
     # 2. Split, they are as before, once both maps have converged.
     assert split(wrong) == 1
-    for found in (wrong, right):
+    for found in (wrong, right, wrong, right):
         found.associate()
         found.optimize(10)
     np.testing.assert_allclose(np.sort(wrong.state.walls[:, 1]), np.sort(right.state.walls[:, 1]), atol=0.05)

@@ -14,9 +14,9 @@ import pytest
 from localization.live.run import GroundTruth, Publisher
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper
-from localization.mapping.publish import MAX_STD_IN, MapPublisher, is_uncertain
+from localization.mapping.publish import MapPublisher, is_uncertain
 from localization.mapping.survey import SurveyStep
-from localization.mapping.walls import extract_walls
+from localization.mapping.walls import MAX_STD_IN, extract_walls
 from nclient.state import RobotState
 from nserver_emu.viewer.messages import parse_published
 from tests.localization.mapping.drives import ROOM, true_path

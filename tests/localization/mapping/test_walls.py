@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.mapping import association, learn, walls
+from localization.mapping import association, learn, output, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import join_points, prune, swallow
-from localization.mapping.output import describe
-from localization.mapping.walls import extract_walls, free_paths, pass_through, uncrossed_spans
+from localization.mapping.output import describe, summary
+from localization.mapping.walls import extract_walls, free_paths, pass_through, passed_walls, uncrossed_spans
 from worlds.io import format_world, load_world
 
 
@@ -183,7 +184,9 @@ def test_map_of_one_or_two_walls_is_a_world(estimate: MapEstimate, tmp_path: Pat
     assert max(wall.std_in for wall in found.walls) < 1e-6
     file = tmp_path / "few.toml"
     file.write_text(format_world(found.world("few")))
-    assert load_world(file).accuracies == found.world("few").accuracies
+    # A file has degrees.
+    for row, accuracy in load_world(file).accuracies.items():
+        assert accuracy == pytest.approx(found.world("few").accuracies[row], rel=1e-12)
 
 
 @pytest.mark.parametrize(("spots", "pieces"), [((19.0, 36.0), 2), ((19.0, 28.0, 36.0), 1)])
@@ -201,3 +204,35 @@ def test_two_spots_between_posts_make_no_wall_across_a_door(
     monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == south else measured_feet(of, wall))
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
     assert sum(piece.line == south for piece in extract_walls(found)) == pieces
+
+
+def test_wall_behind_which_something_was_measured_is_passed(estimate: MapEstimate) -> None:
+    pieces = extract_walls(estimate)
+    assert passed_walls(estimate, pieces) == []
+    # The same wall once more, 5 in before it, as of a robot that came back and did not recognize it.
+    longest = pieces[0]
+    middle = longest.ends.mean(axis=0)
+    inward = estimate.state.poses[:, :2].mean(axis=0) - middle
+    double = replace(longest, ends=longest.ends + 5.0 * inward / np.hypot(*inward))
+    assert passed_walls(estimate, [*pieces, double]) == [double]
+    # A robot that stands behind it has measured nothing behind it.
+    behind = replace(longest, ends=longest.ends - 5.0 * inward / np.hypot(*inward))
+    assert passed_walls(estimate, [behind]) == []
+
+
+def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = describe(estimate)
+    assert found.uncertain == ()
+    stds = sorted(wall.std_in for wall in found.walls)
+    # With the smooth surface of 0.15 in.
+    assert output.highest_std_in(estimate) == pytest.approx((0.5**2 + 0.15**2) ** 0.5)
+    monkeypatch.setattr(output, "highest_std_in", lambda _: 0.5 * (stds[-2] + stds[-1]))
+    fewer = describe(estimate)
+    assert [wall.std_in for wall in fewer.uncertain] == [stds[-1]]
+    assert len(fewer.world("fewer").inner_walls) == len(fewer.walls) == len(found.walls) - 1
+    assert fewer.reason_to_refuse() == ""
+    assert "not written" in summary(fewer)
+    assert len(fewer.as_json()["uncertain_in"]) == 1
+    # Of a map that is known only in part nothing is written.
+    monkeypatch.setattr(output, "highest_std_in", lambda _: 0.5 * (stds[0] + stds[1]))
+    assert "of its 4 walls are known well enough" in describe(estimate).reason_to_refuse()
