@@ -437,15 +437,18 @@ class Explorer:
         visited = mapper.poses[:, :2]
         space = grid.space[reached[:, 0], reached[:, 1]]
         choices: list[tuple[float, float, Place, npt.NDArray[np.intp]]] = []
-        for place, radius in self._candidates(grid, mapper, centres, visited):
+        for place, radius in self._candidates(grid, mapper, centres, space, visited):
             at = np.array((place.x_in, place.y_in))
             away = np.hypot(*(centres - at).T)
             near = away < radius
             if not near.any() or self._tries(place) >= MAX_TRIES[place.kind]:
                 continue
+            # Beside a wall nearer than sonars measure nothing shows how near it is: only where there is no other place.
+            has_space = near & (space > self._body_in + COMFORT_IN)
+            near = has_space if has_space.any() else near
             if place.kind == "frontier":
                 # From a place with space around it, in sight of it.
-                near &= (space > self._body_in + COMFORT_IN) & (away > LOOK_IN)
+                near = has_space & (away > LOOK_IN)
                 near[near] = ~_crossed(centres[near], at, grid.walls)
                 if not near.any():
                     continue
@@ -494,7 +497,7 @@ class Explorer:
         )
 
     def _candidates(
-        self, grid: Grid, mapper: LiveMapper, centres: Floats, visited: Floats
+        self, grid: Grid, mapper: LiveMapper, centres: Floats, space: Floats, visited: Floats
     ) -> list[tuple[Place, float]]:
         """Return places worth visiting, each with the radius within which it may be visited."""
         found: list[tuple[Place, float]] = [
@@ -504,7 +507,8 @@ class Explorer:
             corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
             places = _end_places(mapper.estimate, self._pieces) + _span_places(mapper.estimate) + corners
             found += [(place, REACH_CELLS_IN) for place in places]
-        # Cells far from the path, the farthest first.
+        # Cells far from the path and from walls, the farthest first.
+        centres = centres[space > self._body_in + COMFORT_IN]
         away = np.full(len(centres), np.inf)
         for start in range(0, len(visited), 64):
             part = visited[start : start + 64]

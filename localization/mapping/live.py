@@ -81,7 +81,8 @@ class LiveMapper:
         self, collector: DriveCollector, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool, roughness_in: float
     ) -> None:
         self._collector, self._noise, self._sonar = collector, noise, sonar
-        self._rays, self._roughness_in = rays, roughness_in
+        self.rays, self._roughness_in = rays, roughness_in
+        """True if sonars measure along exact rays."""
         self.estimate: MapEstimate | None = None
         """The last solution of the whole map; None before the first one."""
         self.rounds = 0
@@ -97,7 +98,7 @@ class LiveMapper:
     def _go_on(self) -> None:
         """Learn the map of the drive so far, of a robot that goes on."""
         log = self._collector.log()
-        learner = MapLearner(log, self._noise, self._sonar, rays=self._rays, roughness_in=self._roughness_in)
+        learner = MapLearner(log, self._noise, self._sonar, rays=self.rays, roughness_in=self._roughness_in)
         while not learner.is_complete:
             learner.advance()
         self.estimate = learner.estimate
@@ -154,7 +155,7 @@ class LiveMapper:
         first_group = int(self._groups[first]) if len(self._groups) else 0
         log = self._collector.log(first_group * READINGS_PER_NODE)
         trajectory = build_trajectory(
-            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self._rays
+            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self.rays
         )
         groups = trajectory.group + first_group
         old, old_groups = self._poses[first:], self._groups[first:]
@@ -163,7 +164,7 @@ class LiveMapper:
         # 2. The map without its echoes.
         full = self.estimate
         state = MapProblem(trajectory, len(log.angles_rad)).initial() if full is None else full.state
-        problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays, has_fixed_map=True)
+        problem = MapProblem(trajectory, len(log.angles_rad), rays=self.rays, has_fixed_map=True)
         nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
         window = MapEstimate(problem, replace(state, poses=poses), nothing)
         if full is not None:
@@ -190,9 +191,9 @@ class LiveMapper:
         """Solve the whole map, from the poses so far."""
         log = self._collector.log()
         trajectory = build_trajectory(
-            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self._rays
+            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self.rays
         )
-        problem = MapProblem(trajectory, len(log.angles_rad), rays=self._rays)
+        problem = MapProblem(trajectory, len(log.angles_rad), rays=self.rays)
         before = self.estimate or MapEstimate.start(problem)
         # 1. The echoes of the nodes that both have keep their features.
         feature = np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp)
@@ -246,7 +247,7 @@ class LiveMapper:
             return estimate
         self._challenged_nodes = nodes
         learner = MapLearner(
-            log, self._noise, self._sonar, rays=self._rays, roughness_in=self._roughness_in,
+            log, self._noise, self._sonar, rays=self.rays, roughness_in=self._roughness_in,
             nodes_per_round=CHALLENGE_ROUNDS[self.rounds % len(CHALLENGE_ROUNDS)],
         )  # fmt: skip
         while not learner.is_complete:

@@ -49,6 +49,10 @@ REACTION_S: Final = 1.5
 COMMAND_TIMEOUT_S: Final = 1
 """The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
 GUARD_MARGIN_IN: Final = 1.5
+SPOT_S, SPOT_IN = 15.0, 20.0
+"""Where a ray of at most this length ended something is for so long: ends of walls come to lie between two rays."""
+SPOT_MARGIN_IN: Final = 1.5
+"""Space beside the body to these spots, which are a turn of the ring apart. A gap of 24 in leaves 2.3 in."""
 ASIDE_RAD: Final = radians(80.0)
 """Obstacles farther aside are not approached."""
 DEAD_ZONE_RAD: Final = radians(60.0)
@@ -100,10 +104,20 @@ class SpeedGuard:
     """The free distance ahead by the readings of the last seconds, in the frame of the encoders.
 
     A cone measures the nearest wall perpendicularly, so each reading is taken for a wall across its axis. Whatever is
-    nearest to the robot reflects into one of its sonars, as their cones cover all directions.
+    nearest to the robot reflects into one of its sonars, as their cones cover all directions. Exact rays leave gaps
+    between them, so where near ones ended is remembered for longer.
+
+    Parameters
+    ----------
+    body
+        Size and sonars of the robot.
+    rays
+        True if sonars measure along exact rays.
     """
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: Body, *, rays: bool = False) -> None:
+        self._rays = rays
+        self._spots: deque[tuple[float, float, float]] = deque()
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
         self._sonars = body.ring.count
         self._walls: deque[tuple[float, float, float, float]] = deque()
@@ -119,6 +133,11 @@ class SpeedGuard:
         distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
         self._walls.append((clock_s, axis_rad, distance, reading_in))
         self._places.append(encoders[:2].copy())
+        while self._spots and self._spots[0][0] < clock_s - SPOT_S:
+            self._spots.popleft()
+        if self._rays and self._shortest_in < reading_in <= SPOT_IN:
+            away = self._ring_in + reading_in
+            self._spots.append((clock_s, encoders[0] + away * cos(axis_rad), encoders[1] + away * sin(axis_rad)))
 
     def is_complete(self, clock_s: float) -> bool:
         """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
@@ -136,9 +155,20 @@ class SpeedGuard:
         beams[:, 2] -= encoders[2]
         return beams
 
+    def free_of_spots_in(self, encoders: Floats, direction_rad: float) -> float:
+        """Return how far the body may move from an encoder pose to the spots where near rays ended; inf without any."""
+        nearest, c, s = inf, cos(direction_rad), sin(direction_rad)
+        reach = self.body_in + SPOT_MARGIN_IN
+        for _, x, y in self._spots:
+            off_x, off_y = x - float(encoders[0]), y - float(encoders[1])
+            ahead, aside = off_x * c + off_y * s, abs(off_y * c - off_x * s)
+            if ahead > 0.0 and aside < reach:
+                nearest = min(nearest, ahead - (reach * reach - aside * aside) ** 0.5 - GUARD_MARGIN_IN)
+        return max(nearest, 0.0)
+
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
-        nearest, self.is_blind = inf, False
+        nearest, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
         for _, axis, distance, reading in self._walls:
             off = max(abs(angle_difference(direction_rad, axis)) - HALF_CONE_RAD, 0.0)
             if off > ASIDE_RAD:
@@ -348,7 +378,9 @@ class _Motion:
             blind_in = hypot(*(encoders - self._blind_since)[:2])
             allowed = 0.0 if blind_in > BLIND_IN else min(allowed, BLIND_IN_S)
         if allowed < GAP_IN_S and self._fits(pose, encoders, float(pose[2]) + back, mapper):
-            allowed = GAP_IN_S
+            # Whatever the map shows, something is where a ray ended.
+            of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
+            allowed = min(GAP_IN_S, of_spots_in / REACTION_S)
         if self._fence is not None:
             # Where it would be after braking.
             ahead = REACTION_S * speed
@@ -408,7 +440,8 @@ def survey(
     mapper = mapper_of(collector)
     collector.restart(state, schedule)
     start_s = clock_s = state.clock_s or 0.0
-    guard, gaps, stall_detector = SpeedGuard(body), StateGapLimiter(), StallDetector(limits.translation_in_s)
+    guard, gaps = SpeedGuard(body, rays=mapper.rays), StateGapLimiter()
+    stall_detector = StallDetector(limits.translation_in_s)
     motion = None if driver is None else _Motion(driver, guard, limits, fence)
     log = SurveyLog() if motion is None else motion.log
     if driver is not None:

@@ -147,3 +147,17 @@ def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.Ca
     assert "contact" not in text
     assert "done" in text
     assert read_drive(tmp_path / "room.log").encoders[-1, 0] < 45.0
+
+
+def test_places_are_not_beside_walls_where_sonars_measure_nothing(estimate: MapEstimate) -> None:
+    explorer, finished = Explorer(BODY_IN, 6.0, 300.0), _Finished(estimate)
+    grid = explorer._grid(finished, finished.poses[-1])
+    reached = np.argwhere(grid.reached)
+    space = grid.space[reached[:, 0], reached[:, 1]]
+    # Cells beside the walls are reached, and none of them is a place to cover, far as it may be from the path.
+    assert space.min() < BODY_IN + 3.0
+    mapper = cast("LiveMapper", finished)
+    candidates = explorer._candidates(grid, mapper, grid.centres(reached), space, np.array([[500.0, 500.0]]))
+    places = np.array([(place.x_in, place.y_in) for place, _ in candidates if place.kind == "coverage"])
+    assert len(places) > 4
+    assert wall_distances(places, finished.walls).min() > BODY_IN + 3.0

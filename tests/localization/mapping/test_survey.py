@@ -425,3 +425,26 @@ def test_a_map_overrules_readings_only_that_it_explains(
     encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
     measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
     assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap(ahead_in))) is fits
+
+
+def test_end_of_a_wall_between_two_rays_is_remembered() -> None:
+    # A wall that begins at (30, 10.5), seen aslant from farther away, is beside all rays at (20, 0).
+    rays, cones = SpeedGuard(N150, rays=True), SpeedGuard(N150)
+    for each in (rays, cones):
+        axis = float(np.arctan2(10.5, 30.0))
+        each.add(0.0, np.array((0.0, 0.0, 0.0, 0.0)), axis, float(np.hypot(30.0, 10.5)) - N150.ring.radius_in - 13.0)
+        each.add(0.1, np.array((13.0, 0.0, 0.0, 0.0)), float(np.arctan2(10.5, 17.0)), 11.0)
+        for clock_s in (3.0, 4.0):
+            each.add(clock_s, np.array((20.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
+    place = np.array((20.0, 0.0, 0.0))
+    # The spot of the second ray: where the circle of the body and 1.5 in about it comes to lie on it.
+    away = np.array((17.0, 10.5)) / np.hypot(17.0, 10.5) * (N150.ring.radius_in + 11.0) + (13.0, 0.0)
+    reach = N150.radius_in + 1.5
+    until = next(x for x in np.arange(20.0, 60.0, 0.001) if np.hypot(*(away - (x, 0.0))) <= reach)
+    assert rays.free_in(place, 0.0) == pytest.approx(until - 20.0 - 1.5, abs=0.01)
+    assert cones.free_in(place, 0.0) == pytest.approx(90.0 + N150.ring.radius_in - N150.radius_in - 1.5)
+    # Behind it, beside it, and later nothing is there.
+    assert rays.free_in(np.array((40.0, 0.0, 0.0)), 0.0) == pytest.approx(70.0 + N150.ring.radius_in - 11.22, abs=0.01)
+    assert rays.free_of_spots_in(np.array((20.0, -5.0, 0.0)), 0.0) == np.inf
+    rays.add(20.0, np.array((20.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
+    assert rays.free_of_spots_in(place, 0.0) == np.inf
