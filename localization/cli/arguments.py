@@ -113,6 +113,14 @@ def parse_scale_std(text: str) -> tuple[float, ...]:
     return stds
 
 
+def parse_scales(text: str) -> tuple[float, ...]:
+    """Return standard deviations of the odometry parameters as `parse_scale_std` does, all above 0."""
+    stds = parse_scale_std(text)
+    if not all(0.0 < std < math.inf for std in stds):
+        raise argparse.ArgumentTypeError(f"expected numbers above 0, not {text!r}")
+    return stds
+
+
 parse_seconds: Final = number("expected 0 s or more", 0.0)
 parse_positive: Final = number("expected a number above 0", ABOVE_ZERO)
 

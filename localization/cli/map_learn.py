@@ -32,6 +32,7 @@ from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, drive_of_rows, read_drive
 from localization.mapping.output import LearnedMap, describe, draw_learned, summary
+from localization.mapping.problem import COMMON_OFFSET, PARAMETER_STDS
 from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.control_law import MODEL_LIMITS
@@ -103,6 +104,9 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         "--omnidirectional", action="store_true",
         help="with --from a log: the robot moves sideways as well, as drones do (default: along its heading only)",
     )
+    add_value(parser, "--scale-std", "A[,B[,C]]", arguments.parse_scales,
+              "with --from: standard deviations of the odometry's systematic errors, which the map estimates: distance "
+              f"scale, turn scale, drift in rad/in (default: {','.join(map(str, PARAMETER_STDS[:COMMON_OFFSET]))})", ())
     parser.add_argument(
         "--roughness", type=arguments.parse_positive, metavar="IN",
         help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}, with --sonars "
@@ -219,7 +223,8 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
 def learner_of(options: argparse.Namespace, source: Source) -> MapLearner:
     """Return the estimator of a drive."""
     return MapLearner(
-        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in(options)
+        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in(options),
+        scale_stds=options.scale_std,
     )
 
 

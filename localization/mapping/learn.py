@@ -47,7 +47,7 @@ from localization.mapping.association import (
 from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
 from localization.mapping.loops import close_loops
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
-from localization.mapping.problem import NO_FEATURE, ROBUST_LIMIT, MapProblem, sensors_at
+from localization.mapping.problem import NO_FEATURE, PARAMETER_STDS, ROBUST_LIMIT, MapProblem, sensors_at
 from localization.mapping.repeats import weigh_ranges
 from localization.mapping.walls import (
     MAX_SPAN_IN,
@@ -114,6 +114,8 @@ class MapLearner:
         Standard deviation of the walls' surfaces from straight lines.
     nodes_per_round
         Nodes that `advance` adds.
+    scale_stds
+        Prior standard deviations of the first of distance scale, turn scale and drift; the others have PARAMETER_STDS.
     """
 
     def __init__(
@@ -125,10 +127,13 @@ class MapLearner:
         rays: bool = False,
         roughness_in: float = ROUGHNESS_IN,
         nodes_per_round: int = NODES_PER_ROUND,
+        scale_stds: tuple[float, ...] = (),
     ) -> None:
         self._noise, self._nodes_per_round = noise, nodes_per_round
         self.trajectory = build_trajectory(log, noise, sonar, roughness_in, rays=rays)
-        self.estimate = MapEstimate.start(MapProblem(self.trajectory, len(log.angles_rad), rays=rays))
+        stds = (*scale_stds, *PARAMETER_STDS[len(scale_stds) :])
+        problem = MapProblem(self.trajectory, len(log.angles_rad), rays=rays, parameter_stds=stds)
+        self.estimate = MapEstimate.start(problem)
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
         self.rest = relative_pose(self.trajectory.odometry[-1], log.encoders[-1, 1:4])

@@ -42,6 +42,8 @@ Indices = npt.NDArray[np.intp]
 
 READINGS_PER_NODE: Final = 8
 """Readings of one node: half a turn of the ring, 0.5 s, in which a robot rolls 2.5 in."""
+NODE_S: Final = 0.5
+"""Duration of a node in the log of any robot: its sonars may measure more often than those of a Nomad."""
 RESUME_PAUSE_S: Final = 1.0
 """Between the end of a drive and its continuation: whatever it was, the robot stood."""
 ROWS_PER_S: Final = 30
@@ -86,6 +88,8 @@ class DriveLog:
         Name of the robot model.
     is_omnidirectional
         True if the robot moves sideways as well as ahead, as a drone does; else steps are along the heading.
+    readings_per_node
+        Number of readings of half a second.
     """
 
     encoders: Floats
@@ -96,6 +100,7 @@ class DriveLog:
     ring_radius_in: float
     model: str = "n150"
     is_omnidirectional: bool = False
+    readings_per_node: int = READINGS_PER_NODE
 
     def poses_at(self, instants_s: Floats) -> Floats:
         """Return encoder poses and turret angles (e, 4) at instants (e,), by linear interpolation."""
@@ -122,7 +127,7 @@ class Trajectory:
     step_by_parameters
         (n - 1, 3, 3) derivative of a step by distance scale, turn scale and drift.
     group
-        (n,) number of the group of READINGS_PER_NODE readings that each node stands for.
+        (n,) number of the group of readings (`DriveLog.readings_per_node`) that each node stands for.
     node, sonar
         (e,) node and sonar of each echo.
     mounts
@@ -315,9 +320,12 @@ def drive_of_rows(rows: Sequence[LogRow], body: Body, *, is_omnidirectional: boo
     instants, sonars, readings = (np.array(column) for column in zip(*firings, strict=True))
     encoders = np.array([(row.clock_s, *row.odometry, row.turret_rad) for row in rows])
     encoders[:, 3:] = np.unwrap(encoders[:, 3:], axis=0)
+    # Times 1, 2 ...: the node of a ring that is as fast as a Nomad's has as many readings.
+    halves = round(NODE_S * len(firings) / max(clocks[-1] - clocks[0], NODE_S) / READINGS_PER_NODE)
     return DriveLog(
-        encoders, instants, sonars, readings, np.array(ring.angles_rad), ring.radius_in, body.name, is_omnidirectional
-    )
+        encoders, instants, sonars, readings, np.array(ring.angles_rad), ring.radius_in, body.name, is_omnidirectional,
+        READINGS_PER_NODE * max(halves, 1),
+    )  # fmt: skip
 
 
 def _drive_of(recording: Recording, connection: str, before: DriveLog | None) -> DriveLog | None:
@@ -475,8 +483,8 @@ def build_trajectory(
         True if sonars measure along exact rays: their ranges are as uncertain as the heading at their instant.
     """
     # 1. Groups of readings; those in which the robot does not move are left out.
-    count = len(log.readings_in) // READINGS_PER_NODE
-    groups = np.arange(count * READINGS_PER_NODE).reshape(count, READINGS_PER_NODE)
+    count, size = len(log.readings_in) // log.readings_per_node, log.readings_per_node
+    groups = np.arange(count * size).reshape(count, size)
     instants = log.instants_s[groups].mean(axis=1)
     moving = _moving(log.poses_at(instants))
     groups, instants = groups[moving], instants[moving]
@@ -494,7 +502,7 @@ def build_trajectory(
     root = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2)
     # 3. Sonars relative to their nodes: mount and axis in the node's frame.
     firing = groups.reshape(-1)
-    node = np.repeat(np.arange(len(groups)), READINGS_PER_NODE)
+    node = np.repeat(np.arange(len(groups)), size)
     poses = log.poses_at(log.instants_s[firing])
     sonars = log.sonars[firing]
     heading = nodes[node, HEADING]

@@ -236,16 +236,18 @@ class MapProblem:
         False for plain least squares.
     has_fixed_map
         True if only the poses are unknown: localization in a map that stays as it is.
+    parameter_stds
+        (4,) prior standard deviations of the parameters without the own offsets of the sonars.
     """
 
     def __init__(
         self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True,
-        has_fixed_map: bool = False,
+        has_fixed_map: bool = False, parameter_stds: tuple[float, ...] = PARAMETER_STDS,
     ) -> None:  # fmt: skip
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
-        self._parameters = len(PARAMETER_STDS) + sonars
-        own = np.r_[np.zeros(len(PARAMETER_STDS)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
-        self.prior: Floats = np.vstack((np.diag(1.0 / np.r_[PARAMETER_STDS, np.full(sonars, OWN_OFFSET_STD_IN)]), own))
+        self._stds, self._parameters = parameter_stds, len(parameter_stds) + sonars
+        own = np.r_[np.zeros(len(parameter_stds)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
+        self.prior: Floats = np.vstack((np.diag(1.0 / np.r_[parameter_stds, np.full(sonars, OWN_OFFSET_STD_IN)]), own))
         """Prior of the parameters c as rows P of residuals P c: each one, and the mean of the own offsets."""
         self._prior_information: Floats = self.prior.T @ self.prior
 
@@ -253,15 +255,15 @@ class MapProblem:
     def plain(self) -> MapProblem:
         """The same problem by plain least squares, without robust weights."""
         return MapProblem(
-            self.trajectory, self._parameters - len(PARAMETER_STDS), rays=self.rays, robust=False,
-            has_fixed_map=self.has_fixed_map,
+            self.trajectory, self._parameters - len(self._stds), rays=self.rays, robust=False,
+            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds,
         )  # fmt: skip
 
     def with_trajectory(self, trajectory: Trajectory) -> MapProblem:
         """Return the same problem with other measurements."""
         return MapProblem(
-            trajectory, self._parameters - len(PARAMETER_STDS), rays=self.rays, robust=self.robust,
-            has_fixed_map=self.has_fixed_map,
+            trajectory, self._parameters - len(self._stds), rays=self.rays, robust=self.robust,
+            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds,
         )  # fmt: skip
 
     def initial(self) -> MapState:

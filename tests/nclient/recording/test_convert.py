@@ -391,12 +391,13 @@ def test_flights_of_a_drone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["convert", bag, str(tmp_path / "x.csv")]) == 1
     assert f"{pose} (infrastructure/msg/RawData)" in capsys.readouterr().err
     fields = {"x_m": f"{pose}:raw.0", "y_m": f"{pose}:raw.1", "qz": f"{ranges}:raw.7", "qw": f"{ranges}:raw.8"}
-    fields |= {f"sonar_{k}_m": f"{ranges}:raw.{place}" for k, place in enumerate((0, 2, 1, 3))}
+    # Front, left, back, right.
+    fields |= {f"sonar_{k}_m": f"{ranges}:raw.{place}" for k, place in enumerate((1, 2, 3, 0))}
     words = [word for column, source in fields.items() for word in ("--field", f"{column}={source}")]
     assert main(["convert", bag, str(tmp_path / "x.csv"), *words]) == 0
     rows = read_log(tmp_path / "x.csv")
     assert (len(rows), round(rows[-1].clock_s, 1)) == (3150, 314.7)
-    assert rows[0].sonars_in == pytest.approx([one / 0.0254 for one in (0.541, 1.899, 0.224, 0.246)], abs=1e-3)
+    assert rows[0].sonars_in == pytest.approx([one / 0.0254 for one in (0.224, 1.899, 0.246, 0.541)], abs=1e-3)
 
 
 def test_errors_name_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
