@@ -194,11 +194,11 @@ START: Final = 0
 
 
 class Period(NamedTuple):
-    """A period: estimate, true pose and encoders (3,), and the computing time in s."""
+    """A period: estimate, true pose and encoders (x_in, y_in, heading_rad), and the computing time in s."""
 
     estimate: Estimate
-    truth: Floats
-    encoders: Floats
+    truth: tuple[float, float, float]
+    encoders: tuple[float, float, float]
     spent_s: float
 
 
@@ -304,8 +304,8 @@ def _follow(
         before_s = timer()
         estimate = localizer.update(report)
         spent_s = timer() - before_s
-        truth = np.array([actual.x_in, actual.y_in, actual.steering_rad])
-        followed.append(Period(estimate, truth, np.array([state.x_in, state.y_in, state.steering_rad]), spent_s))
+        truth = actual.x_in, actual.y_in, actual.steering_rad
+        followed.append(Period(estimate, truth, (state.x_in, state.y_in, state.steering_rad), spent_s))
         # 3. Command from the estimate alone; None at the last goal.
         command = navigator.command(estimate.pose)
         if command is None:
@@ -318,8 +318,8 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     """Return the history in columns; of smoothed estimates each time once, in its last version."""
     # 1. Columns by time of the states.
     polled_s = np.array([period.estimate.clock_s for period in periods])
-    truth = np.stack([period.truth for period in periods])
-    encoders = np.stack([period.encoders for period in periods])
+    truth = np.array([period.truth for period in periods])
+    encoders = np.array([period.encoders for period in periods])
     distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([period.spent_s for period in periods])
     # 2. A smoother repeats an estimate until a newer one exists: use the last version of each time.

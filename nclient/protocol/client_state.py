@@ -24,6 +24,7 @@ send this special_request, which takes no simulated time. Robots and other serve
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
@@ -62,6 +63,7 @@ def parse_ring(data: bytes) -> RingReadings:
 
 STATE_SIZE = 45
 ERROR_SLOT = 44
+_whole_state = itemgetter(*range(STATE_SIZE))
 _UNSIGNED = 0xFFFFFFFF
 
 
@@ -104,7 +106,7 @@ class ClientState:
             return
         # 2. State slots that the reply carries. A whole state reply, the usual one, is copied in one go.
         if len(reply.slots) == STATE_SIZE:
-            self.slots[:] = map(reply.slots.__getitem__, range(STATE_SIZE))
+            self.slots[:] = _whole_state(reply.slots)
         else:
             for slot, value in reply.slots.items():
                 self.slots[slot] = value

@@ -20,6 +20,7 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
+from itertools import repeat
 from typing import Any, Final, NamedTuple
 
 from construct import ConstructError
@@ -396,7 +397,7 @@ def build_tcp_payload(layout: TcpLayout, reply: Reply, wire_state: WireState) ->
         # 1. Signed words.
         if layout.values not in (None, len(words)):
             raise WireError(f"{layout.values} words wanted, {len(words)} given")
-        words += [reply.slots.get(slot, 0) for slot in layout.slots]
+        words += map(reply.slots.get, layout.slots, repeat(0))
         if layout.laser_width is not None:
             if reply.laser is None:
                 words.append(0)

@@ -174,6 +174,7 @@ class SonarRing:
         self._reflectors = ReflectorMap(walls, model.surfaces(surface_seed))
         self._rng = rng
         self._ring = ring = body.ring
+        self._reach_in = model.reach_in(ring.max_range_in)
         silent = ring.plain(ring.no_echo_in)
         self._readings: list[float] = [DEAD_IN if sonar in model.dead else silent for sonar in range(ring.count)]
         self._stamps: list[Stamp | SegmentTime] = [NO_STAMP] * ring.count
@@ -293,7 +294,7 @@ class SonarRing:
         """Replace the sonar model; earlier pings are measured with the previous one, and disturb no later ping."""
         self._compute_pending()
         self._earlier = ()
-        self.model = model
+        self.model, self._reach_in = model, model.reach_in(self._ring.max_range_in)
         self._reflectors = ReflectorMap(self._reflectors.walls, model.surfaces(self._surface_seed))
         for sonar in range(self._ring.count):
             if sonar in model.dead:
@@ -334,8 +335,7 @@ class SonarRing:
         ping, earlier, pose, reflectors = self._pending.pop(sonar)
         # Dead sonars draw noise as well, but are never computed.
         if sonar not in model.dead:
-            reach_in = model.reach_in(self._ring.max_range_in)
-            range_in = model.measured_range(ping, earlier, reflectors, self.body, pose.others, reach_in)
+            range_in = model.measured_range(ping, earlier, reflectors, self.body, pose.others, self._reach_in)
             self._readings[sonar] = self._ring.reading(range_in + model.offset_in(sonar))
 
     def _cast(self, model: SonarNoise) -> None:
