@@ -14,17 +14,19 @@ from localization.filters.sonar_ray import WIRE_SONAR, RayModel
 from nclient.errors import VariableError
 from nserver_emu.server import inprocess  # noqa: F401 - found by entry point otherwise
 from nserver_emu.simulation.acoustics import FIRST_ECHO
-from worlds.compiled import CALLS_BEFORE_LOADING, mark_path
+from worlds.compiled import CALLS_BEFORE_LOADING, is_compiled_for, mark_path
 from worlds.robots import N150
 
 
 def load_compiled_code() -> None:
-    """Load compiled code of filter and sonars that is on disk; compile nothing."""
+    """Load compiled code of filter and sonars that is on disk; compile that of sonars only where that is asked for."""
     # Compiled code takes any map: a single wall here.
     walls = [(0.0, 100.0, 100.0, 100.0)]
     for model in (RayModel(walls, N150, WIRE_SONAR), ConeModel(walls, N150, ConeSonar())):
         if mark_path(model.update.__name__, compiled.source_checksum(filter_ring)).exists():
             compiled.ring(filter_ring, widen_prediction, model, THESIS_ODOMETRY)
+    if is_compiled_for(1):
+        FIRST_ECHO.prepare(is_used=True)
     FIRST_ECHO.count_calls(CALLS_BEFORE_LOADING)
 
 
