@@ -928,8 +928,9 @@ class Robot:
     # -- exchanges ----------------------------------------------------------------------------------------------------
 
     def _apply(self, reply: Reply) -> None:
-        # The backend returns the same object for the same bytes: nothing has changed since it was applied.
-        if reply is self._applied:
+        # The backend returns the same object for the same bytes: nothing has changed since it was applied. The ground
+        # truth is no part of the state.
+        if reply is self._applied or reply.kind == "truth":
             return
         self._applied = reply
         self._client_state.apply_reply(reply)

@@ -148,6 +148,8 @@ a fifth of the readings outliers, and an unknown scale. `_line`: the same over t
 MIN_OUTLIER_IN, MAX_OUTLIER_IN = MIN_SONAR_IN, MAX_SONAR_IN
 _OUTLIERS_IN: Final = (MIN_OUTLIER_IN, MAX_OUTLIER_IN + 1)
 """Lowest outlier, and the end of the range."""
+_EARLY_S: Final = 1e-6
+"""More than rounding errors of sums of clocks and intervals."""
 
 
 class BadReadings:
@@ -161,6 +163,8 @@ class BadReadings:
         # Seconds from the start of a round of firings until each sonar fires.
         self._late_s = [schedule.order.index(sonar) * schedule.interval_s for sonar in range(len(schedule.order))]
         self._round_s = schedule.round_s
+        # By sonar: seconds since the start before which no new firing is reported, less than a rounding error early.
+        self._due_s = [-math.inf] * len(schedule.order)
         # By sonar: number of the last round, and the outlier of that round (None: the true reading).
         self._rounds: list[int | None] = [None] * len(schedule.order)
         self._instead: list[int | None] = [None] * len(schedule.order)
@@ -170,11 +174,15 @@ class BadReadings:
         if not self._fraction or state.clock_s is None:
             return state
         since_s, rounds, instead = state.clock_s - self._schedule.start_s, self._rounds, self._instead
-        for sonar, late_s in enumerate(self._late_s):
+        for sonar, due_s in enumerate(self._due_s):
+            # Most states repeat most readings, and so the same decisions.
+            if since_s < due_s:
+                continue
             # 1. Round of the firing that the reading is from.
+            late_s = self._late_s[sonar]
             turn = int((since_s - late_s) // self._round_s)
-            # 2. A new firing: draw whether it is an outlier, and its range. Later states repeat the same reading, and
-            #    so the same decision.
+            self._due_s[sonar] = late_s + (turn + 1) * self._round_s - _EARLY_S
+            # 2. A new firing: draw whether it is an outlier, and its range.
             if turn != rounds[sonar]:
                 is_bad, range_in = self._rng.random() < self._fraction, self._rng.integers(*_OUTLIERS_IN)
                 rounds[sonar], instead[sonar] = turn, int(range_in) if is_bad else None

@@ -250,11 +250,12 @@ def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, 
 
 def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tuple[int, int, int]:
     """Return axis values (inches or radians) in tenths; a value other than zero never becomes zero."""
-    first, second, third = (
-        away_from_zero(value * 10 if rolls else math.degrees(value) * 10)
-        for value, rolls in zip(values, robot.model.in_inches, strict=True)
+    (first, second, third), (rolls_1, rolls_2, rolls_3) = values, robot.model.in_inches
+    return (
+        away_from_zero((first if rolls_1 else math.degrees(first)) * 10),
+        away_from_zero((second if rolls_2 else math.degrees(second)) * 10),
+        away_from_zero((third if rolls_3 else math.degrees(third)) * 10),
     )
-    return first, second, third
 
 
 def away_from_zero(value: float) -> int:

@@ -172,7 +172,16 @@ def erroneous_segment(
     segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float], drifts: Sequence[float]
 ) -> ConstantAccelerationSegment:
     """Return the true motion of a drive of this track for a commanded one; errors as those of `Odometry`."""
-    # 1. Scale errors of both axes.
+    # 1. Scale errors of both axes. Those of a synchro drive are speed and turn rate themselves.
+    if track_in == NO_TRACK:
+        duration, speed, acceleration, turn_rate, turn_acceleration = segment
+        return ConstantAccelerationSegment(
+            duration,
+            scales[0] * speed,
+            scales[0] * acceleration,
+            scales[1] * turn_rate + drifts[0] * speed + drifts[1] * turn_rate,
+            scales[1] * turn_acceleration + drifts[0] * acceleration + drifts[1] * turn_acceleration,
+        )
     first, second = axis_rates(segment, track_in)
     path = path_segment(segment.duration_s, first.times(scales[0]), second.times(scales[1]), track_in)
     # 2. Drift of the body.
