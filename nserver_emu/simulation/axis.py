@@ -242,7 +242,9 @@ class Axis:
         top = self.limits.top_speed
         wanted = min(max(velocity, -top), top)
         self.mode = Mode.VELOCITY if wanted else Mode.HOLD
-        self._start(plan_velocity(self.velocity, wanted, self.acceleration, self.ramps))
+        # An axis that stands goes on standing: the turret, in most commands.
+        is_motion = wanted or self._phases
+        self._start(plan_velocity(self.velocity, wanted, self.acceleration, self.ramps) if is_motion else ())
 
     def move_by(self, distance: float, speed: float | None = None) -> None:
         """Move by a distance (units, from here) and hold there.
@@ -301,7 +303,7 @@ class Axis:
 
     def _start(self, phases: tuple[Phase, ...]) -> None:
         """Begin the phases that have a duration; a finished motion holds."""
-        self._phases = tuple(phase for phase in phases if phase.duration_s > 0.0)
+        self._phases = tuple([phase for phase in phases if phase.duration_s > 0.0])
         self._elapsed_s = 0.0
         self._hold_when_done()
 
