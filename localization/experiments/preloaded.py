@@ -7,8 +7,8 @@ from importlib.metadata import PackageNotFoundError
 from localization.experiments import live_trial  # noqa: F401 - most experiments drive its robots
 from localization.filters import compiled
 from localization.filters.base import THESIS_ODOMETRY
-from localization.filters.ekf import filter_ring
-from localization.filters.odometry import widen_prediction
+from localization.filters.filter_loop import known_to
+from localization.filters.health import HealthLimits
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel
 from nclient.errors import VariableError
@@ -23,8 +23,8 @@ def load_compiled_code() -> None:
     # Compiled code takes any map: a single wall here.
     walls = [(0.0, 100.0, 100.0, 100.0)]
     for model in (RayModel(walls, N150, WIRE_SONAR), ConeModel(walls, N150, ConeSonar())):
-        if mark_path(model.update.__name__, compiled.source_checksum(filter_ring)).exists():
-            compiled.ring(filter_ring, widen_prediction, model, THESIS_ODOMETRY)
+        if mark_path(model.update.__name__, compiled.source_checksum()).exists():
+            compiled.filter_of(known_to(THESIS_ODOMETRY, model, HealthLimits()))
     if is_compiled_for(1):
         FIRST_ECHO.prepare(is_used=True)
     FIRST_ECHO.count_calls(CALLS_BEFORE_LOADING)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
-from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, pose_at, relative_step
+from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, clock_lag, pose_at, relative_step
 from localization.filters.sonar_cone import ConeModel, ConeSonar, cone_sonar
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, RingBody, ray_sonar
 from localization.filters.update import MeasurementModel, Outcome, UpdateResult
@@ -95,7 +96,7 @@ class RingFilter(Protocol):
 def process_each(
     filter_: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
 ) -> Sequence[Outcome]:
-    """Predict a filter to the instant of each echo, and update it. `ekf.filter_ring` does so in one function.
+    """Predict a filter to the instant of each echo, and update it. `filter_loop.filter_ring` does so in one function.
 
     Parameters
     ----------
@@ -117,6 +118,43 @@ def process_each(
         filter_.predict(distance_in, turn_rad)
         results.append(filter_.update(sonar, turret - to_heading, reading_in))
     return results
+
+
+Advance = tuple[Sequence[Outcome], EncoderRow, Belief]
+"""The outcome of each echo, the encoders at the last one, and the belief predicted from there, as it is reported."""
+
+
+@runtime_checkable
+class StateFilter(Protocol):
+    """A filter that takes a whole state of the robot in one call."""
+
+    def advance(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
+    ) -> Advance:
+        """Predict to the instant of each echo and update, then return the belief at the last pose: `advance_each`."""
+        ...
+
+
+def advance_each(
+    filter_: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
+) -> Advance:
+    """Predict a filter to the instant of each echo and update it; return the belief that it predicts for the last pose.
+
+    Parameters
+    ----------
+    encoders, poses, echoes
+        As in `process_each`; there may be no echo.
+    clock_std_s
+        Uncertainty of the instants of echoes and states (`odometry.clock_lag`).
+    """
+    outcomes: Sequence[Outcome] = ()
+    if echoes:
+        process = filter_.process if isinstance(filter_, RingFilter) else partial(process_each, filter_)
+        outcomes, last_s = process(encoders, poses, echoes), echoes[-1][0]
+        encoders = (last_s, *pose_at(poses, last_s))
+    step = relative_step(*encoders[1:4], *poses[-1][1:4])
+    lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
+    return outcomes, encoders, filter_.predicted(*step, lag)
 
 
 class Place(NamedTuple):

@@ -1,4 +1,4 @@
-"""The echoes of a whole ring in one call of machine code: numba compiles the formulas of the filter.
+"""A whole state of the robot in one call of machine code: numba compiles the formulas of the filter.
 
 numba compiles the functions of odometry, sonar_ray, sonar_cone, update and worlds.raycast from their own source, for
 floats. Only what numba cannot type has a second form here: access to the walls, which are lists in plain Python and
@@ -17,18 +17,22 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters import belief, health, odometry, sonar_cone, sonar_ray, update
-from localization.filters.belief import POSE, Floats
-from localization.filters.health import LARGEST
-from localization.filters.odometry import NO_LAG, Lag, OdometryNoise
+from localization.filters import belief, filter_loop, health, odometry, sonar_cone, sonar_ray, update
+from localization.filters.base import EncoderRow
+from localization.filters.belief import POSE, Belief, Floats
+from localization.filters.filter_loop import Drive, Known, Memory, filter_state, new_memory
+from localization.filters.health import Signs
+from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import Gate, RayModel, RaySonar
-from localization.filters.update import DirectModel, Outcome
+from localization.filters.update import Outcome
 from worlds import compiled, raycast
 from worlds.compiled import checksum, compile_function, functions_of, make_compilable, mark_path, write_mark
 
-ENCODERS, ECHO, OUTCOME = 5, 3, 6
-"""Elements of `base.EncoderRow`, of `base.NewEcho`, and of `update.Outcome`."""
+ENCODERS, ECHO, OUTCOME, SIGNS = 5, 3, 6, 6
+"""Elements of `base.EncoderRow`, of `base.NewEcho`, of `update.Outcome` and of `health.Signs`."""
+DRIVE = ENCODERS + 2
+"""Elements before the poses in a drive: the encoders, and what else a state has."""
 _log = logging.getLogger(__name__)
 
 # What compiled code reads of the classes of the same name.
@@ -99,12 +103,24 @@ def row_of(row: Any, record: object) -> Any:
 # of any size, a named tuple several times as much. So all that stays from call to call is one array.
 
 
-def pack_model(noise: OdometryNoise, model: Any) -> Floats:
-    """Return the noise of the odometry and a model in one array, which `_ray_model` or `_cone_model` unpacks.
+class KnownArrays(NamedTuple):
+    """An `ekf.Known`."""
+
+    noise: Any
+    model: Any
+    slip_nats: float
+    max_totals: Floats
+    middle: tuple[float, float]
+
+
+def pack_known(known: Known) -> Floats:
+    """Return what a filter is configured with in one array, which `_known` unpacks.
 
     Named tuples stand in it as they are, arrays of rows after their number of rows.
     """
+    model: Any = known.model
     walls = model.walls
+    limits = *known.middle, known.slip_nats, len(known.max_totals), *known.max_totals
     if isinstance(model, RayModel):
         sonar = row_of(RaySonarRow, model.noise)
         rest = [*row_of(GateRow, model.gate), model.threshold]
@@ -112,7 +128,7 @@ def pack_model(noise: OdometryNoise, model: Any) -> Floats:
         sonar, rest = row_of(ConeSonarRow, model.noise), [*_packed(model.faces), *_packed(model.vertices)]
     walls = [*walls.middle, *_packed(walls.segments), *_packed(walls.lines)]
     shared = *_packed(model.mounts), model.range_parameters
-    return np.array([*row_of(NoiseRow, noise), *sonar, *walls, *shared, *rest], dtype=np.float64)
+    return np.array([*row_of(NoiseRow, known.noise), *limits, *sonar, *walls, *shared, *rest], dtype=np.float64)
 
 
 def _packed(rows: Sequence[Sequence[float]] | Floats) -> list[float]:
@@ -146,24 +162,33 @@ def _unpack_walls(numbers: Any) -> tuple[PackedWalls, Any, int, Any]:
 
 
 def _ray_model(numbers: Any) -> RayArrays:
-    """Return the model of rays from `pack_model`, in compiled code."""
-    sonar = RaySonarRow(*_first(_RAY, numbers[_ODOMETRY:]))
-    walls, mounts, parameters, numbers = _unpack_walls(numbers[_ODOMETRY + _RAY :])
+    """Return the model of rays from `pack_known`, in compiled code."""
+    sonar = RaySonarRow(*_first(_RAY, numbers))
+    walls, mounts, parameters, numbers = _unpack_walls(numbers[_RAY:])
     return RayArrays(sonar, walls, GateRow(*_first(_GATE, numbers)), numbers[_GATE], mounts, parameters)
 
 
 def _cone_model(numbers: Any) -> ConeArrays:
-    """Return the model of cones from `pack_model`, in compiled code."""
-    sonar = ConeSonarRow(*_first(_CONE, numbers[_ODOMETRY:]))
-    walls, mounts, parameters, numbers = _unpack_walls(numbers[_ODOMETRY + _CONE :])
+    """Return the model of cones from `pack_known`, in compiled code."""
+    sonar = ConeSonarRow(*_first(_CONE, numbers))
+    walls, mounts, parameters, numbers = _unpack_walls(numbers[_CONE:])
     faces, numbers = _unpack_rows(5, numbers)
     vertices, _ = _unpack_rows(3, numbers)
     return ConeArrays(sonar, walls, faces, vertices, mounts, parameters)
 
 
+def _known(numbers: Any, assemble: Callable[[Any], Any]) -> KnownArrays:
+    """Return what `pack_known` has packed, in compiled code, with the model that `assemble` unpacks."""
+    noise, numbers = NoiseRow(*_first(_ODOMETRY, numbers)), numbers[_ODOMETRY:]
+    middle, slip_nats = (numbers[0], numbers[1]), numbers[2]
+    totals = int(numbers[3])
+    end = 4 + totals
+    return KnownArrays(noise, assemble(numbers[end:]), slip_nats, numbers[4:end], middle)
+
+
 # Compiling.
 
-SOURCES: Final = (belief, health, odometry, sonar_ray, sonar_cone, update, raycast)
+SOURCES: Final = (belief, filter_loop, health, odometry, sonar_ray, sonar_cone, update, raycast)
 """numba may compile all functions of these modules; it does so for those that the loop calls."""
 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
@@ -238,7 +263,7 @@ def _same(form: Callable[..., Any]) -> Callable[..., Any]:
 
 @cache
 def load() -> bool:
-    """Prepare numba; return True if it is installed. From then on `compiled_ring` returns rings."""
+    """Prepare numba; return True if it is installed. From then on `filter_of` returns compiled filters."""
     try:
         make_compilable(function for function in functions_of(*SOURCES) if function not in _FORMS)
         import numba.extending
@@ -263,137 +288,99 @@ def load() -> bool:
 
 
 @cache
-def source_checksum(loop: Callable[..., Any]) -> int:
-    """Return a checksum of all sources, with this file."""
+def source_checksum(loop: Callable[..., Any] = filter_state) -> int:
+    """Return a checksum of all sources, with this file and that of a loop."""
     return checksum(__file__, loop.__code__.co_filename, *(module.__file__ for module in SOURCES))
 
 
-def _mark(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Path:
-    """Return the file that marks this loop and update as compiled."""
-    return mark_path(correct.__name__, source_checksum(loop))
+def _mark(correct: Callable[..., Outcome]) -> Path:
+    """Return the file that marks the loop with this update as compiled."""
+    return mark_path(correct.__name__, source_checksum())
 
 
-def is_wanted(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> bool:
+def is_wanted(correct: Callable[..., Outcome]) -> bool:
     """Return True if compiled code is to be used: see `worlds.compiled.is_wanted`."""
-    return compiled.is_wanted(correct.__name__, source_checksum(loop))
+    return compiled.is_wanted(correct.__name__, source_checksum())
 
 
 @cache
-def _compile(loop: Callable[..., list[Outcome]], correct: Callable[..., Outcome]) -> Callable[..., None]:
-    """Return the loop over a ring with this update: compiled when called first, or loaded from the cache."""
+def _compile(correct: Callable[..., Outcome]) -> Callable[..., None]:
+    """Return the loop over a state with this update: compiled when called first, or loaded from the cache."""
     assemble = _ray_model if correct is sonar_ray.update_by_ray else _cone_model
-
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
-    sources = source_checksum(loop)
+    sources = source_checksum()
 
-    def filter_ring(
-        x: Any, P: Any, used: Any, slip_sums: Any, drive: Any, count: int, outcomes: Any, numbers: Any
-    ) -> None:
-        assert sources >= 0
-        noise, model = NoiseRow(*_first(_ODOMETRY, numbers)), assemble(numbers)
-        # 1. The encoders, `count` poses, and the echoes, one after another in `drive`.
-        encoders = _first(ENCODERS, drive)
-        end = ENCODERS + ENCODERS * count
-        poses, echoes = drive[ENCODERS:end].reshape((count, ENCODERS)), drive[end:].reshape((len(outcomes), ECHO))
-        # 2. The outcomes in an array: a list would take longer to return than a ring to filter.
-        results = loop(x, P, used, slip_sums, encoders, poses, echoes, noise, model, correct)
-        for k, (refusal, innovation, nis, outlier_probability, likelihood, slope) in enumerate(results):
-            row = outcomes[k]
-            row[0], row[1], row[2] = refusal, innovation, nis
-            row[3], row[4], row[5] = outlier_probability, likelihood, slope
-
-    make_compilable([loop, assemble, _unpack_walls, _unpack_rows])
-    return compile_function(filter_ring)
-
-
-@cache
-def _compile_prediction(widen: Callable[..., None]) -> Callable[..., None]:
-    """Return the prediction that is reported, without changing x and P: compiled when called first, or loaded."""
-    sources, prediction = source_checksum(widen), odometry.predict_state
-
-    def predicted(
-        x: Any, P: Any, mean: Any, cov: Any, distance: float, turn: float, nis_ratio: float, along: float,
-        of_heading: float, scale: float, middle_x: float, middle_y: float, slipped: float, numbers: Any,
+    def run(
+        x: Any, P: Any, used: Any, slip_sums: Any, windows: Any, drive: Any, count: int, mean: Any, cov: Any,
+        results: Any, numbers: Any,
     ) -> None:  # fmt: skip
         assert sources >= 0
-        # One by one: for an assignment of slices numba compiles the text of an error as well, for five seconds.
-        for i in range(len(mean)):
-            mean[i] = x[i]
-            for j in range(len(mean)):
-                cov[i, j] = P[i, j]
-        noise, lag, middle = NoiseRow(*_first(_ODOMETRY, numbers)), (along, of_heading), (middle_x, middle_y)
-        widen(mean, cov, distance, turn, noise, nis_ratio, lag, scale, middle, slipped, prediction)
+        known: Any = _known(numbers, assemble)
+        # 1. The encoders, what else the state has, `count` poses, and the echoes, one after another in `drive`.
+        end = DRIVE + ENCODERS * count
+        poses, rest = drive[DRIVE:end].reshape((count, ENCODERS)), drive[end:]
+        echoes = rest.reshape((len(rest) // ECHO, ECHO))
+        before: Any = _first(ENCODERS, drive)
+        given = Drive(before, poses, echoes, drive[ENCODERS], drive[ENCODERS + 1] != 0.0)
+        memory = Memory(x, P, used, slip_sums, windows)
+        outcomes, encoders, signs = filter_state(memory, given, known, correct, mean, cov)
+        # 2. The results in an array: to return tuples and lists would take longer than to filter.
+        k = 0
+        for value in encoders:
+            results[k] = value
+            k += 1
+        for value in signs:
+            results[k] = value
+            k += 1
+        for refusal, innovation, nis, outlier_probability, likelihood, slope in outcomes:
+            results[k], results[k + 1], results[k + 2] = refusal, innovation, nis
+            results[k + 3], results[k + 4], results[k + 5] = outlier_probability, likelihood, slope
+            k += OUTCOME
 
-    make_compilable([widen])
-    return compile_function(predicted)
+    make_compilable([assemble, _known, _unpack_walls, _unpack_rows])
+    return compile_function(run)
 
 
-class CompiledRing:
-    """`ekf.filter_ring` and `odometry.widen_prediction` in machine code, for one model and odometry."""
+_RESULTS: Final = ENCODERS + SIGNS
+"""Elements of the results before the outcomes."""
 
-    def __init__(
-        self,
-        loop: Callable[..., list[Outcome]],
-        widen: Callable[..., None],
-        model: DirectModel,
-        noise: OdometryNoise,
-    ) -> None:
-        self._run, self._predict = _compile(loop, model.update), _compile_prediction(widen)
-        self._numbers = pack_model(noise, model)
-        mark = _mark(loop, model.update)
+
+class CompiledFilter:
+    """`filter_loop.filter_state` in machine code, for one configuration."""
+
+    def __init__(self, known: Known) -> None:
+        correct = known.model.update
+        self._run, self._numbers = _compile(correct), pack_known(known)
+        mark = _mark(correct)
         if mark.exists():
             self._warm_up()
             return
-        _log.warning("compiling the filter with numba; the result is cached function=%s", model.update.__name__)
+        _log.warning("compiling the filter with numba; the result is cached function=%s", correct.__name__)
         self._warm_up()
         write_mark(mark)
 
     def _warm_up(self) -> None:
         """Compile now, not in the first update."""
-        encoders = (0.0,) * ENCODERS
-        used, slip_sums = np.zeros((1, 4)), np.zeros((0, LARGEST + 1))
-        x, P = np.zeros(POSE), np.zeros((POSE, POSE))
-        self.filter(x, P, used, slip_sums, encoders, [encoders], [])
-        self.predicted(x, P, POSE, 0.0, 0.0, 1.0, NO_LAG, 0.0, (0.0, 0.0), 0.0)
+        x: Any = np.zeros(POSE)
+        P: Any = np.zeros((POSE, POSE))
+        encoders = (0.0, 0.0, 0.0, 0.0, 0.0)
+        self.filter(new_memory(x, P, as_array=True), Drive(encoders, [encoders], [], 0.0, detects_slips=False), POSE)
 
-    def filter(
-        self,
-        x: Any,
-        P: Any,
-        used: Any,
-        slip_sums: Any,
-        encoders: Sequence[float],
-        poses: Sequence[Sequence[float]],
-        echoes: Sequence[Sequence[float]],
-    ) -> list[Outcome]:
-        """Filter x, P by all echoes of a ring, in place: see `ekf.filter_ring`; the first four are arrays."""
-        drive = [*encoders]
-        for row in poses:
-            drive += row
-        for row in echoes:
-            drive += row
-        outcomes = np.empty((len(echoes), OUTCOME))
-        self._run(x, P, used, slip_sums, np.array(drive), len(poses), outcomes, self._numbers)
-        return [
-            (int(refusal), innovation, nis, outlier_probability, likelihood, slope)
-            for refusal, innovation, nis, outlier_probability, likelihood, slope in outcomes.tolist()
-        ]
-
-    def predicted(
-        self, x: Any, P: Any, size: int, distance: float, turn: float, nis_ratio: float, lag: Lag, scale: float,
-        middle: tuple[float, float], slipped_in2: float,
-    ) -> tuple[Floats, Floats]:  # fmt: skip
-        """Return the first `size` coordinates of x and P, predicted and widened: see `odometry.widen_prediction`."""
-        mean, cov = np.empty(size), np.empty((size, size))
-        self._predict(x, P, mean, cov, distance, turn, nis_ratio, *lag, scale, *middle, slipped_in2, self._numbers)
-        return mean, cov
+    def filter(self, memory: Memory, drive: Drive, size: int) -> tuple[list[Outcome], EncoderRow, Signs, Belief]:
+        """Return `filter_state`, and the prediction of the first `size` coordinates; the memory is in arrays."""
+        encoders, poses, echoes, clock_std_s, detects_slips = drive
+        numbers = [*encoders, clock_std_s, detects_slips]
+        for pose in poses:
+            numbers += pose
+        for echo in echoes:
+            numbers += echo
+        mean, cov, results = np.empty(size), np.empty((size, size)), np.empty(_RESULTS + OUTCOME * len(echoes))
+        self._run(*memory, np.array(numbers), len(poses), mean, cov, results, self._numbers)
+        values: Any = results.tolist()
+        outcomes = [(int(values[k]), *values[k + 1 : k + OUTCOME]) for k in range(_RESULTS, len(values), OUTCOME)]
+        return outcomes, tuple(values[:ENCODERS]), tuple(values[ENCODERS:_RESULTS]), Belief(mean, cov)
 
 
-def ring(
-    loop: Callable[..., list[Outcome]],
-    widen: Callable[..., None],
-    model: DirectModel | None,
-    noise: OdometryNoise,
-) -> CompiledRing | None:
-    """Return the compiled loop; None for a model without an update of its own, without numba, or if not wanted."""
-    return CompiledRing(loop, widen, model, noise) if model and is_wanted(loop, model.update) and load() else None
+def filter_of(known: Known | None) -> CompiledFilter | None:
+    """Return the compiled filter; None for a model without an update of its own, without numba, or if not wanted."""
+    return CompiledFilter(known) if known and is_wanted(known.model.update) and load() else None

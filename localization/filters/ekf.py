@@ -10,29 +10,31 @@
     ukf                       process_each, one by one      ukf.predict_state         update.pda_update, ukf.unscented
     smoother                  process_each, one by one      odometry.predict_state    as ekf
 
-`filter_ring` is compiled by numba where that is wanted (`compiled.ring`), with the same results to the bit.
+`filter_loop` has `filter_ring`, and `filter_state` from the echoes to the estimate that is reported. numba compiles it
+where that is wanted (`compiled.filter_of`), with the same results to the bit.
 `update_ring` applies the same Kalman update to whole rings of many robots at once, for the experiments.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import inf
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from localization.filters import compiled
-from localization.filters.base import EncoderRow, NewEcho, process_each
+from localization.filters.base import Advance, EncoderRow, NewEcho, advance_each, process_each
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
+from localization.filters.filter_loop import Drive, Memory, filter_state, known_to
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
-from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, SlipSums, add_slip_evidence
+from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
     OdometryNoise,
     Prediction,
-    pose_at,
+    clock_lag,
     predict_state,
     relative_step,
     true_step,
@@ -43,96 +45,22 @@ from localization.filters.odometry import (
 from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
 from localization.filters.update import (
-    GATE,
     INFORMATIVE,
     INFORMATIVE_IN_CLUTTER,
     LIMIT,
-    NONE,
-    OUTLIERS,
     CorrelatedReadings,
-    Covariance,
-    DirectModel,
     MeasurementUpdate,
     Outcome,
     Refusal,
-    State,
     UpdateResult,
-    Used,
-    count_outlier,
-    count_used,
     kalman_update,
-    mount_at,
-    move_on,
-    record_used,
     shift,
 )
 
-READING, REFUSAL = 2, 0
-"""Elements of a `NewEcho`, and of an `Outcome`."""
+READING: Final = 2
+"""Element of a `NewEcho`."""
 NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
-
-
-def filter_ring(
-    x: State,
-    P: Covariance,
-    used: Used,
-    slip_sums: SlipSums,
-    encoders: EncoderRow,
-    poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho],
-    noise: OdometryNoise,
-    model: DirectModel,
-    correct: Callable[..., Outcome],
-) -> list[Outcome]:
-    """Filter x, P by all echoes of a ring in order of time, in place; return the outcome of each.
-
-    This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists; `compiled` compiles it
-    with all that it calls.
-
-    Parameters
-    ----------
-    x, P
-        State and covariance at the pose `encoders` (`belief.unpack`).
-    used
-        Of `CorrelatedReadings`.
-    slip_sums
-        Of `health.SlipTest`; without rows, slips are not looked for.
-    encoders, poses, echoes
-        As in `base.process_each`.
-    correct
-        The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
-    """
-    outcomes = []
-    _, x_in, y_in, heading, _ = encoders
-    for echo in echoes:
-        # By index: numba cannot unpack a row of an array.
-        instant_s, sonar, reading_in = echo[0], int(echo[1]), echo[2]
-        # 1. u, the step of the encoders to their pose at the instant of the echo.
-        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-        distance, turn = relative_step(x_in, y_in, heading, to_x, to_y, to_heading)
-        x_in, y_in, heading = to_x, to_y, to_heading
-        # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
-        predict_state(x, P, distance, turn, noise, model.range_parameters)
-        move_on(used, distance, turn)
-        # 3. to 7. The update by the model, in place. For a ray (sonar_ray.update_by_ray):
-        #        innovation = z - h(x-)
-        #        S = H P- H^T + R,  K = P- H^T / S        R of the `count`-th reading of this sonar from here
-        #        unless innovation^2 / S > threshold:
-        #            x = x- + K innovation,  P = P- - K S K^T
-        turret_offset = turret - to_heading
-        mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
-        outcome = correct(x, P, mount, reading_in, model, count, used[-1][OUTLIERS])
-        refusal, innovation, nis, outlier_probability, _, slope = outcome
-        if refusal == NONE:
-            record_used(used, sonar, turret_offset, count)
-        # 8. Evidence of a slip of the wheels.
-        if refusal in (NONE, GATE):
-            count_outlier(used, outlier_probability)
-            if len(slip_sums) > 0:
-                add_slip_evidence(slip_sums, innovation, nis, slope)
-        outcomes.append(outcome)
-    return outcomes
 
 
 class KalmanFilter:
@@ -209,17 +137,27 @@ class KalmanFilter:
         # The path of the echoes, as in the table at the head of this file.
         takes_rings = self.TAKES_RINGS and prediction is predict_state
         self._direct = measurement.direct if takes_rings else None
-        """The model, where `filter_ring` takes a whole ring by it; None: `process_each`, one by one."""
-        self._compiled = compiled.ring(filter_ring, widen_prediction, self._direct, odometry)
-        """`filter_ring` as machine code, where that is wanted, with x and P in arrays; None: as plain Python, lists."""
+        """The model, where `filter_state` takes a whole state by it; None: `process_each`, one by one."""
+        # The monitor of the estimate, and the outcomes that it judges by.
+        self._monitor = IntegrityMonitor(limits)
+        self._known = known_to(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
+        self._compiled = compiled.filter_of(self._known)
+        """`filter_state` as machine code, where that is wanted; None: as plain Python."""
         is_compiled = self._compiled is not None
+        if is_compiled:
+            self._monitor = IntegrityMonitor(limits, as_array=True)
         self._x: Any
         self._P: Any
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
         self._correlated = CorrelatedReadings(as_array=is_compiled)
-        # The monitor of the estimate, and the outcomes that it judges by.
-        self._monitor = IntegrityMonitor(limits, as_array=is_compiled)
-        self._no_slips = self._monitor.slip.sums[:0]
+        self._memory = Memory(
+            self._x, self._P, self._correlated.used, self._monitor.slip.sums, self._monitor.windows
+        )
+        self._has_slip_test = self._monitor.limits.slip_nats < inf
+        noise = self._direct.noise if self._direct else None
+        self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
+        self._signs: Signs | None = None
+        """Signs of the present health; None: to be computed."""
         self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
         self.detects_slips = True
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
@@ -239,10 +177,13 @@ class KalmanFilter:
     @property
     def health(self) -> FilterHealth:
         """Health of the estimate; a filter that considers one pose only never reports LOST."""
-        return self._monitor.health(self._P.tolist() if self._compiled else self._P)
+        if self._signs is None:
+            self._signs = self._monitor.signs(self._P)
+        return self._monitor.judge(self._signs)
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report: x- = f(x, u), P- = F P F^T + G Q G^T."""
+        self._signs = None
         if self._odometric:
             self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
@@ -253,6 +194,7 @@ class KalmanFilter:
 
         Only readings that are used can be repeated, and only informative ones enter the health.
         """
+        self._signs = None
         count = self._correlated.count(sonar, turret_offset_rad) + 1
         outlier_fraction = self._correlated.outlier_fraction
         result = self._measurement.apply(
@@ -264,7 +206,7 @@ class KalmanFilter:
             self._correlated.count_outlier(result.outlier_probability)
         if result.refusal in self._informative:
             self._monitor.add(result)
-            if len(self._slip_sums):
+            if self.detects_slips and self._has_slip_test:
                 self._monitor.slip.add(result.innovation_in, result.nis, result.slope)
             self._check_slip()
         return result
@@ -273,40 +215,44 @@ class KalmanFilter:
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
     ) -> Sequence[Outcome]:
         """Predict to the instant of each echo and update; see `process_each`."""
-        if not echoes:
-            return []
         if not self._direct:
-            results = process_each(self, encoders, poses, echoes)
-            if self._headings:
+            outcomes = process_each(self, encoders, poses, echoes)
+            if self._headings and echoes:
                 self._check_heading(poses, echoes)
-            return results
-        noise, model, used, slips = self._odometry, self._direct, self._correlated.used, self._slip_sums
+            return outcomes
+        return self.advance(encoders, poses, echoes, 0.0)[0]
+
+    def advance(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
+    ) -> Advance:
+        """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
+        if not self._known:
+            return advance_each(self, encoders, poses, echoes, clock_std_s)
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
-        low_in, high_in, ranges = model.noise.lowest_in, model.noise.highest_in, echoes
+        (low_in, high_in), ranges = self._limits_in, echoes
         if len(echoes) > 1:
             ranges = [echo for echo in echoes[:-1] if low_in < echo[READING] < high_in]
             ranges.append(echoes[-1])
-        # 2. Predict to each range and correct by it.
+        # 2. Predict to each range and correct by it; predict to the state.
+        drive = Drive(encoders, poses, ranges, clock_std_s, self.detects_slips and self._has_slip_test)
         if self._compiled:
-            results = self._compiled.filter(self._x, self._P, used, slips, encoders, poses, ranges)
+            outcomes, after, self._signs, belief = self._compiled.filter(self._memory, drive, self._size)
         else:
-            x, P = self._x, self._P
-            results = filter_ring(x, P, used, slips, encoders, poses, ranges, noise, model, model.update)
-        # 3. The monitor judges by the outcomes of ranges.
-        informative = [outcome for outcome in results if outcome[REFUSAL] in self._informative]
-        self._monitor.add_all(informative)
-        if len(slips):
-            self._monitor.slip.count_readings(len(informative))
-        self._check_slip()
-        if self._headings:
-            self._check_heading(poses, echoes)
+            mean, cov = [0.0] * self._size, [[0.0] * self._size for _ in range(self._size)]
+            correct = self._known.model.update
+            outcomes, after, self._signs = filter_state(self._memory, drive, self._known, correct, mean, cov)
+            belief = Belief(np.array(mean), np.array(cov))
+        # 3. Another heading: the prediction anew.
+        if self._headings and echoes and self._check_heading(poses, echoes):
+            lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
+            belief = self.predicted(*relative_step(*after[1:4], *poses[-1][1:4]), lag)
         # 4. The outcomes of all echoes.
-        if len(ranges) == len(echoes):
-            return results
-        of_ranges = iter(results)
-        return [
-            next(of_ranges) if low_in < echo[READING] < high_in or echo is echoes[-1] else NO_RANGE for echo in echoes
-        ]
+        if len(ranges) < len(echoes):
+            of_ranges, last = iter(outcomes), echoes[-1]
+            outcomes = [
+                next(of_ranges) if low_in < echo[READING] < high_in or echo is last else NO_RANGE for echo in echoes
+            ]
+        return outcomes, after, belief
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the filter leaves out of P.
@@ -314,49 +260,45 @@ class KalmanFilter:
         That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
         nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, self._monitor.slip.slipped
-        size, scale = self._size, self._x[-1] if self._has_scale else 0.0
-        if self._compiled:
-            return Belief(*self._compiled.predicted(
-                self._x, self._P, size, distance_in, turn_rad, nis_ratio, lag, scale, self._middle_in, slipped_in2
-            ))  # fmt: skip
-        x, P = self._x[:size], [row[:size] for row in self._P[:size]]
+        scale = float(self._x[-1]) if self._has_scale else 0.0
+        x, P = unpack(self.belief)
         widen_prediction(
             x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in, slipped_in2,
             self._predict,
         )  # fmt: skip
-        return Belief(np.array(x), np.array(P))
+        return pack(x, P)
 
     def roll_on_spot(self, distance_in: float) -> None:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
+        self._signs = None
         widen_by_rolling(self._x, self._P, distance_in, self._odometry)
-
-    @property
-    def _slip_sums(self) -> SlipSums:
-        """The sums of the test for slips; no rows where they are not looked for."""
-        is_tested = self.detects_slips and self._monitor.limits.slip_nats < inf
-        return self._monitor.slip.sums if is_tested else self._no_slips
 
     def _check_slip(self) -> None:
         """Widen the covariance by a slip of the wheels if the last readings agree on one."""
         slip_in = self._monitor.take_slip()
-        if slip_in is not None:
+        if slip_in:
             widen_by_slip(self._x, self._P, slip_in)
 
-    def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> None:
-        """Correct the heading, and the state with it, if many readings are outliers that agree on another heading."""
+    def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> bool:
+        """Correct the heading, and the state with it, if many readings are outliers that agree on another heading.
+
+        Return True if they do.
+        """
         assert self._headings is not None
         self._headings.add(poses, echoes)
         if self._correlated.outlier_fraction < MIN_OUTLIERS:
-            return
+            return False
         x, P = self._x, self._P
         turn_rad, evidence_nats = self._headings.correction(x, P)
         if evidence_nats < self._monitor.limits.heading_nats:
-            return
+            return False
         # x + K d, K = P_h / P_hh. P stays: readings that agree with both headings have narrowed it already.
         shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
         self._correlated.forget_outliers()
         self._monitor.slip.reset()
+        self._signs = None
+        return True
 
 
 def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Floats]:

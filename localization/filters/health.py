@@ -17,10 +17,10 @@ References: Page, Continuous inspection schemes (1954).
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from math import expm1, hypot, inf, log, sqrt
 from typing import Final, NamedTuple
 
@@ -124,7 +124,17 @@ MAX_SLIP_PROBABILITY: Final = 0.5
 
 SlipSums = list[list[float]] | Floats
 """Evidence of each displacement, and last the largest: a row of the readings that a displacement forwards shortens, and
-one of those that it lengthens. No rows: slips are not looked for. Lists in plain Python, an array for compiled code."""
+one of those that it lengthens; and a row of counts (SLIPS, READINGS, SINCE_SLIP). Lists in plain Python, an array for
+compiled code."""
+COUNTS = 2
+"""Row of the counts."""
+SLIPS, READINGS, SINCE_SLIP = range(3)
+"""Columns of the counts: slips so far, readings that were looked at for slips, and readings since the last slip."""
+
+
+def empty_slip_sums() -> list[list[float]]:
+    """Return the sums and counts before the first reading."""
+    return [[0.0] * (LARGEST + 1), [0.0] * (LARGEST + 1), [0.0, 0.0, inf] + [0.0] * (LARGEST - 2)]
 
 
 def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> float:
@@ -162,6 +172,62 @@ def add_slip_evidence(slip_sums: SlipSums, innovation_in: float, nis: float, slo
     sums[LARGEST] = largest
 
 
+def max_slip_evidence(slip_sums: SlipSums) -> float:
+    """Return an upper bound of the evidence of a slip, nats: exact if both sides are of one displacement."""
+    shortened, lengthened = slip_sums[0][LARGEST], slip_sums[1][LARGEST]
+    return min(shortened, MAX_NATS_OF_ONE_SIDE) + min(lengthened, MAX_NATS_OF_ONE_SIDE)
+
+
+def most_likely_slip(slip_sums: SlipSums) -> tuple[float, float]:
+    """Return the most likely displacement by both sides together, inches forwards, and its evidence.
+
+    The evidence is its log likelihood ratio to none, with MAX_NATS_OF_ONE_SIDE; without any the displacement is 0.
+    """
+    shortened, lengthened = slip_sums[0], slip_sums[1]
+    best = 0
+    for j in range(LARGEST):
+        if shortened[j] + lengthened[j] > shortened[best] + lengthened[best]:
+            best = j
+    evidence = min(shortened[best], MAX_NATS_OF_ONE_SIDE) + min(lengthened[best], MAX_NATS_OF_ONE_SIDE)
+    return DISPLACEMENTS_IN[best] if evidence > 0.0 else 0.0, evidence
+
+
+def slip_probability(slip_sums: SlipSums) -> tuple[float, float]:
+    """Return the probability of a slip, and the mean square of the displacement by it, in^2: 0 without a slip."""
+    shortened, lengthened, counts = slip_sums[0], slip_sums[1], slip_sums[COUNTS]
+    if shortened[LARGEST] == 0.0 and lengthened[LARGEST] == 0.0:
+        return NO_SLIP
+    rounds = SLIP_RATE_SHAPE * ROUNDS_PER_SLIP + counts[READINGS] / READINGS_PER_ROUND
+    before = (SLIP_RATE_SHAPE + counts[SLIPS]) / rounds
+    total = squares = 0.0
+    for j in range(LARGEST):
+        # A displacement without evidence is none.
+        odds = before * expm1(shortened[j] + lengthened[j]) / LARGEST
+        total += odds
+        squares += odds * (DISPLACEMENTS_IN[j] * DISPLACEMENTS_IN[j])
+    return total / (1.0 + total), squares / (1.0 + total)
+
+
+def take_slip(slip_sums: SlipSums, slip_nats: float) -> float:
+    """Return the displacement along the heading, inches, of a slip that readings show, and begin anew; 0 without."""
+    if max_slip_evidence(slip_sums) < slip_nats:
+        return 0.0
+    displacement, evidence = most_likely_slip(slip_sums)
+    if evidence < slip_nats:
+        return 0.0
+    counts = slip_sums[COUNTS]
+    counts[SLIPS] += 1.0
+    counts[SINCE_SLIP] = 0.0
+    clear_slips(slip_sums)
+    return displacement
+
+
+def clear_slips(slip_sums: SlipSums) -> None:
+    """Set the sums to 0; the counts, and so the rate of slips, stay."""
+    for j in range(LARGEST + 1):
+        slip_sums[0][j] = slip_sums[1][j] = 0.0
+
+
 class SlipTest:
     """Test whether recent readings agree that the robot is displaced along its heading, and by how much.
 
@@ -169,12 +235,12 @@ class SlipTest:
     displaced forwards (`update.forward_slope`), so its innovation, of variance S, has the mean 0 without a slip and h d
     after one by d. The log likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of
     DISPLACEMENTS_IN from the instant at which the sum was last 0: the most likely instant of the slip (CUSUM). The
-    largest sum decides. Bad readings agree on no displacement.
+    largest sum decides (`take_slip`). Bad readings agree on no displacement.
 
     The mean of the ratios over the displacements, times the odds of a slip in a round of the ring, are its odds after
-    the readings. Slips are a Poisson process: their rate has a gamma distribution of the shape k = SLIP_RATE_SHAPE, of
-    which one slip in ROUNDS_PER_SLIP is the mean before the first reading, and (k + slips) / (k ROUNDS_PER_SLIP +
-    rounds) later.
+    the readings (`slip_probability`). Slips are a Poisson process: their rate has a gamma distribution of the shape
+    k = SLIP_RATE_SHAPE, of which one slip in ROUNDS_PER_SLIP is the mean before the first reading, and
+    (k + slips) / (k ROUNDS_PER_SLIP + rounds) later.
 
     Parameters
     ----------
@@ -184,7 +250,7 @@ class SlipTest:
     Attributes
     ----------
     sums
-        For `add_slip_evidence`; the number of readings added to them goes to `count_readings`.
+        For the functions above.
 
     References
     ----------
@@ -192,78 +258,123 @@ class SlipTest:
     """
 
     def __init__(self, *, as_array: bool = False) -> None:
-        rows = [[0.0] * (LARGEST + 1) for _ in range(2)]
-        self.sums: SlipSums = np.array(rows) if as_array else rows
-        self._slips = self._readings = 0
-        self._slipped: tuple[float, float] | None = NO_SLIP
-
-    def count(self) -> None:
-        """Count a slip, and begin anew."""
-        self._slips += 1
-        self.reset()
-
-    def count_readings(self, count: int) -> None:
-        """Count readings that were added to the sums."""
-        self._readings += count
-        self._slipped = None
+        self.sums: SlipSums = np.array(empty_slip_sums()) if as_array else empty_slip_sums()
 
     def reset(self) -> None:
         """Begin anew; the rate of slips stays."""
-        for sums in self.sums:
-            sums[:] = [0.0] * len(sums)
-        self._slipped = NO_SLIP
+        clear_slips(self.sums)
 
     def add(self, innovation_in: float, nis: float, slope: float) -> None:
         """Take note of a reading, see `add_slip_evidence`."""
         add_slip_evidence(self.sums, innovation_in, nis, slope)
-        self.count_readings(1)
+        self.sums[COUNTS][READINGS] += 1.0
 
     @property
     def max_evidence_nats(self) -> float:
-        """An upper bound of the evidence: exact if both sides are of one displacement."""
-        shortened, lengthened = self._largest()
-        return min(shortened, MAX_NATS_OF_ONE_SIDE) + min(lengthened, MAX_NATS_OF_ONE_SIDE)
+        """An upper bound of the evidence: `max_slip_evidence`."""
+        return max_slip_evidence(self.sums)
 
     @property
     def most_likely(self) -> tuple[float, float]:
-        """The most likely displacement by both sides together, inches forwards, and its evidence.
-
-        The evidence is its log likelihood ratio to none, with MAX_NATS_OF_ONE_SIDE; without any the displacement is 0.
-        """
-        (*shortened, _), (*lengthened, _) = self._rows()
-        totals = [one + other for one, other in zip(shortened, lengthened, strict=True)]
-        best = totals.index(max(totals))
-        evidence = min(shortened[best], MAX_NATS_OF_ONE_SIDE) + min(lengthened[best], MAX_NATS_OF_ONE_SIDE)
-        return DISPLACEMENTS_IN[best] if evidence else 0.0, evidence
+        """The most likely displacement, and its evidence: `most_likely_slip`."""
+        return most_likely_slip(self.sums)
 
     @property
     def slipped(self) -> tuple[float, float]:
-        """Probability of a slip, and the mean square of the displacement by it, in^2: 0 without a slip."""
-        if self._slipped is None:
-            self._slipped = self._odds() if any(self._largest()) else NO_SLIP
-        return self._slipped
+        """Probability of a slip, and the mean square of the displacement by it: `slip_probability`."""
+        return slip_probability(self.sums)
 
-    def _odds(self) -> tuple[float, float]:
-        """Return `slipped` of sums that are not all 0."""
-        rounds = SLIP_RATE_SHAPE * ROUNDS_PER_SLIP + self._readings / READINGS_PER_ROUND
-        before = (SLIP_RATE_SHAPE + self._slips) / rounds
-        shortened, lengthened = self._rows()
-        total = squares = 0.0
-        # Without the last column, the largest.
-        for displacement_in, one, other in zip(DISPLACEMENTS_IN, shortened, lengthened, strict=False):
-            # A displacement without evidence is none.
-            odds = before * expm1(one + other) / len(DISPLACEMENTS_IN)
-            total += odds
-            squares += odds * displacement_in**2
-        return total / (1.0 + total), squares / (1.0 + total)
 
-    def _largest(self) -> list[float]:
-        """Return the largest sum of either side."""
-        return [row[LARGEST] for row in self.sums] if isinstance(self.sums, list) else self.sums[:, LARGEST].tolist()
+# The window of the last readings.
 
-    def _rows(self) -> list[list[float]]:
-        """Return `sums` in lists, whose elements plain Python adds faster."""
-        return self.sums if isinstance(self.sums, list) else self.sums.tolist()
+Windows = list[list[float]] | Floats
+"""Two windows of readings, a row each: the probability that a reading is explained by the map (MATCHED), and the NIS of
+those that are (NIS). A row begins with the number of readings in it (COUNT) and the column that the next one takes
+(NEXT); the readings are in the columns from FIRST on. Lists in plain Python, an array for compiled code."""
+MATCHED, NIS = range(2)
+COUNT, NEXT, FIRST = range(3)
+
+
+def empty_windows(size: int) -> list[list[float]]:
+    """Return windows of so many readings, without any yet."""
+    return [[0.0, float(FIRST)] + [0.0] * size for _ in range(2)]
+
+
+def add_to_window(window: list[float], value: float) -> None:
+    """Replace the oldest value of a full window, or append one."""
+    column = int(window[NEXT])
+    window[column] = value
+    window[NEXT] = float(column + 1 if column + 1 < len(window) else FIRST)
+    if window[COUNT] < len(window) - FIRST:
+        window[COUNT] += 1.0
+
+
+def window_sum(window: list[float]) -> float:
+    """Return the sum of a window, the oldest value first: `sum` rounds differently from one Python to the next."""
+    oldest, total = int(window[NEXT]), 0.0
+    for value in window[oldest:]:
+        total += value
+    for value in window[FIRST:oldest]:
+        total += value
+    return total
+
+
+def add_reading(windows: Windows, slip_sums: SlipSums, nis: float, outlier_probability: float) -> None:
+    """Take note of the outcome of a range, in place."""
+    add_to_window(windows[MATCHED], 1.0 - outlier_probability)
+    slip_sums[COUNTS][SINCE_SLIP] += 1.0
+    if outlier_probability < OUTLIER_THRESHOLD:
+        add_to_window(windows[NIS], nis)
+
+
+def is_full(window: Sequence[float]) -> bool:
+    """Return True if as many readings were added as a window has room for."""
+    return window[COUNT] == len(window) - FIRST
+
+
+def matched_fraction(windows: Windows) -> float:
+    """Return the fraction of the window that is explained; 1 until the window is full."""
+    matched = windows[MATCHED]
+    return window_sum(matched) / matched[COUNT] if is_full(matched) else 1.0
+
+
+def mean_nis(windows: Windows, max_totals: Sequence[float]) -> float:
+    """Return the mean NIS of the window, if that is significantly above 1; else 1.
+
+    Parameters
+    ----------
+    max_totals
+        Largest sum of so many NIS that is not significant (`nis_limits`).
+    """
+    nis = windows[NIS]
+    if not is_full(windows[MATCHED]):
+        return 1.0
+    count, total = int(nis[COUNT]), window_sum(nis)
+    return total / count if total > max_totals[count] else 1.0
+
+
+@cache
+def nis_limits(probability: float, size: int) -> tuple[float, ...]:
+    """Return the sum that 0, 1, ... `size` NIS of a consistent filter stay below with this probability."""
+    return inf, *(chi_square_quantile(probability, count) for count in range(1, size + 1))
+
+
+Signs = tuple[float, float, float, float, float, float]
+"""What health is judged by: the standard deviation of the position along its worst direction, inches; the matched
+fraction; the mean NIS, if significant; the number of readings since a slip; the probability of a slip now, and the mean
+square of the displacement by it, in^2."""
+
+
+def signs_of(
+    P: Sequence[Sequence[float]] | Floats, windows: Windows, slip_sums: SlipSums, max_totals: Sequence[float]
+) -> Signs:
+    """Return the signs of the health of an estimate of covariance P."""
+    # The larger eigenvalue of the covariance of the position.
+    xx, xy, yy = P[0][0], P[0][1], P[1][1]
+    std = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
+    slipped, slipped_in2 = slip_probability(slip_sums)
+    nis_ratio, since_slip = mean_nis(windows, max_totals), slip_sums[COUNTS][SINCE_SLIP]
+    return std, matched_fraction(windows), nis_ratio, since_slip, slipped, slipped_in2
 
 
 class IntegrityMonitor:
@@ -272,11 +383,15 @@ class IntegrityMonitor:
     def __init__(self, limits: HealthLimits | None = None, *, as_array: bool = False) -> None:
         self.limits = limits or HealthLimits()
         self._fall = 0.0
-        self._matched: deque[float] = deque(maxlen=self.limits.window)
-        self._nis: deque[float] = deque(maxlen=self.limits.window)
+        windows = empty_windows(self.limits.window)
+        self.windows: Windows = np.array(windows) if as_array else windows
+        """The last readings."""
         self.slip = SlipTest(as_array=as_array)
-        self._since_slip = self.limits.after_slip
-        self._ratio: float | None = 1.0
+
+    @property
+    def max_totals(self) -> tuple[float, ...]:
+        """The limits of the sum of a window of NIS."""
+        return nis_limits(self.limits.nis_probability, self.limits.window)
 
     @property
     def is_lost(self) -> bool:
@@ -291,10 +406,9 @@ class IntegrityMonitor:
     def reset(self) -> None:
         """Begin with a new estimate."""
         self._fall = 0.0
-        self._matched.clear()
-        self._nis.clear()
+        for window, empty in zip(self.windows, empty_windows(self.limits.window), strict=True):
+            window[:] = empty
         self.slip.reset()
-        self._ratio = 1.0
 
     def add_evidence(self, likelihood: float, anywhere: float, result: Outcome | None) -> None:
         """Take note of a reading.
@@ -313,75 +427,51 @@ class IntegrityMonitor:
 
     def add(self, result: Outcome) -> None:
         """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
-        self.add_all((result,))
+        _, _, nis, outlier_probability, _, _ = result
+        add_reading(self.windows, self.slip.sums, nis, outlier_probability)
 
-    def add_all(self, results: Iterable[Outcome]) -> None:
-        """Take note of the outcomes of ranges, one after another."""
-        for _, _, nis, outlier_probability, _, _ in results:
-            self._matched.append(1.0 - outlier_probability)
-            self._since_slip += 1
-            if outlier_probability < OUTLIER_THRESHOLD:
-                self._nis.append(nis)
-        self._ratio = None
-
-    def take_slip(self) -> float | None:
-        """Return the displacement in inches along the heading of a slip that readings show, and begin anew; or None."""
-        if self.slip.max_evidence_nats < self.limits.slip_nats:
-            return None
-        displacement, evidence = self.slip.most_likely
-        if evidence < self.limits.slip_nats:
-            return None
-        self.slip.count()
-        self._since_slip = 0
-        return displacement
+    def take_slip(self) -> float:
+        """Return the displacement of a slip that readings show, and begin anew: see the function."""
+        return take_slip(self.slip.sums, self.limits.slip_nats)
 
     @property
     def nis_ratio(self) -> float:
         """Mean NIS of the window, if it is beyond its limit; else 1."""
-        if self._ratio is None:
-            self._ratio = 1.0
-            count = len(self._nis)
-            if len(self._matched) == self.limits.window and count:
-                total = sum(self._nis)
-                if total > chi_square_quantile(self.limits.nis_probability, count):
-                    self._ratio = total / count
-        return self._ratio
+        return mean_nis(self.windows, self.max_totals)
 
     @property
     def is_suspicious(self) -> bool:
         """True if a search for a better pose is worth its time."""
-        return self._fall >= self.limits.suspicious_nats or self._matched_fraction() < self.limits.min_matched
+        return self._fall >= self.limits.suspicious_nats or matched_fraction(self.windows) < self.limits.min_matched
 
     @property
     def reason(self) -> str:
         """Reason for giving up the estimate."""
         return f"readings fit anywhere on the map better than here, by e^{self._fall:.0f}"
 
+    def signs(self, P: Sequence[Sequence[float]] | Floats) -> Signs:
+        """Return the signs of the health of an estimate of covariance P now."""
+        return signs_of(P, self.windows, self.slip.sums, self.max_totals)
+
     def health(self, P: Sequence[Sequence[float]] | Floats) -> FilterHealth:
         """Return the health of an estimate of covariance P now."""
-        limits = self.limits
+        return self.judge(self.signs(P))
+
+    def judge(self, signs: Signs) -> FilterHealth:
+        """Return the health of an estimate with these signs."""
+        limits, (std, matched, ratio, since_slip, slipped, _) = self.limits, signs
         if self.is_lost:
             return FilterHealth(HealthStatus.LOST, self.reason)
-        # 1. The larger eigenvalue of the covariance of the position.
-        xx, xy, yy = P[0][0], P[0][1], P[1][1]
-        std = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
         if std > limits.max_std_in:
             return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {std:.1f} in only")
-        # 2. The outcomes of the last readings, once there are enough.
-        matched = self._matched_fraction()
+        # The outcomes of the last readings, once there are enough.
         if matched < limits.min_matched:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
             return FilterHealth(HealthStatus.DEGRADED, reason)
-        if self._since_slip < limits.after_slip or self.slip.slipped[0] > MAX_SLIP_PROBABILITY:
+        if since_slip < limits.after_slip or slipped > MAX_SLIP_PROBABILITY:
             reason = "the wheels may have slipped: readings agree on another place along the heading"
             return FilterHealth(HealthStatus.DEGRADED, reason)
-        ratio = self.nis_ratio
         if ratio <= limits.max_nis_ratio:
             return HEALTHY
         reason = f"squared innovations are {ratio:.1f} times as large as they should be"
         return FilterHealth(HealthStatus.DEGRADED, reason)
-
-    def _matched_fraction(self) -> float:
-        """Return the fraction of the window that is explained; 1 until the window is full."""
-        full = len(self._matched) == self.limits.window
-        return sum(self._matched) / self.limits.window if full else 1.0

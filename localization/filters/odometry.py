@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -321,6 +322,35 @@ def pose_at(poses: Sequence[Sequence[float]], instant_s: float) -> tuple[float, 
 Lag = tuple[float, float]
 """Standard deviations of an error that is the same multiple of both: inches along the heading, and radians."""
 NO_LAG: Final = (0.0, 0.0)
+_SQRT_3: Final = sqrt(3.0)
+
+
+def clock_lag(before: Sequence[float], now: Sequence[float], std_s: float) -> Lag:
+    """Return what the uncertain instants of echoes and states add to the last two poses of the encoders.
+
+        P + std_s^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), turn rate)
+
+    A clock in steps leaves it open when the ring was restarted and when a state was taken, so the estimate is ahead of
+    the robot or behind it. The first is constant over a run: no filter averages it out, and no noise of the echoes
+    describes it. It is added to what is reported, never to the belief that the filter continues from. A robot that
+    stands has none.
+
+    Parameters
+    ----------
+    before, now
+        Rows of clock, x, y, heading and turret.
+    std_s
+        Standard deviation of the difference of two instants.
+    """
+    passed_s = now[0] - before[0]
+    if passed_s <= 0.0:
+        return NO_LAG
+    # Two clocks that err by up to sqrt(3) std_s may be nearly equal: the robot is not that fast.
+    # A comparison, as in health.py: a call of max takes longer.
+    shortest_s = _SQRT_3 * std_s
+    passed_s = passed_s if passed_s > shortest_s else shortest_s
+    distance_in, turn_rad = relative_step(before[1], before[2], before[3], now[1], now[2], now[3])
+    return std_s * distance_in / passed_s, std_s * turn_rad / passed_s
 
 
 def add_lag(belief: Belief, lag: Lag) -> Belief:

@@ -21,9 +21,9 @@ import numpy.typing as npt
 
 from localization.filters import compiled
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
-from localization.filters.ekf import filter_ring
-from localization.filters.health import SlipTest
-from localization.filters.odometry import OdometryNoise, predict_state, step_between, widen_prediction, with_parameters
+from localization.filters.filter_loop import Drive, filter_ring, known_to, new_memory
+from localization.filters.health import HealthLimits
+from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
 from localization.filters.sonar_ray import NOMAD
 from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
@@ -116,19 +116,20 @@ class EchoReplay:
         self._measurement, self.odometry = measurement, odometry
 
     @cached_property
-    def _ring(self) -> compiled.CompiledRing | None:
+    def _compiled(self) -> compiled.CompiledFilter | None:
         """The compiled loop, where that is wanted."""
-        return compiled.ring(filter_ring, widen_prediction, self._measurement.direct, self.odometry)
+        direct = self._measurement.direct
+        return compiled.filter_of(known_to(self.odometry, direct, HealthLimits())) if direct else None
 
     def load(self) -> None:
         """Load compiled code now, which takes longer than an update may."""
-        bool(self._ring)
+        bool(self._compiled)
 
     def run(self, belief: Belief, before: Floats, records: Sequence[EchoRecord]) -> tuple[Belief, float]:
         """Return a belief at the encoders `before` (3,), filtered along records since, and their log likelihood."""
         x: Any
         P: Any
-        x, P = (belief.mean.copy(), belief.cov.copy()) if self._ring else unpack(belief)
+        x, P = (belief.mean.copy(), belief.cov.copy()) if self._compiled else unpack(belief)
         nats = sum(log(likelihood) for _, _, _, _, likelihood, _ in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
@@ -139,9 +140,8 @@ class EchoReplay:
         if not self._measurement.direct:
             return self._one_by_one(x, P, before, records)
         # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
-        as_array = self._ring is not None
-        used, outcomes = CorrelatedReadings(as_array=as_array).used, list[Outcome]()
-        no_slips = SlipTest(as_array=as_array).sums[:0]
+        direct, outcomes = self._measurement.direct, list[Outcome]()
+        memory = new_memory(x, P, as_array=self._compiled is not None)
         at = (-1.0, *before.tolist(), 0.0)
         for first in range(0, len(records), LAST_RECORDS):
             part = records[first : first + LAST_RECORDS]
@@ -150,11 +150,12 @@ class EchoReplay:
                 for k, each in enumerate(part)
             ]
             echoes = [(float(first + k), each.sonar, each.reading_in) for k, each in enumerate(part)]
-            if self._ring:
-                outcomes += self._ring.filter(x, P, used, no_slips, at, poses, echoes)
+            if self._compiled:
+                outcomes += self._compiled.filter(memory, Drive(at, poses, echoes, 0.0, detects_slips=False), POSE)[0]
             else:
-                direct = self._measurement.direct
-                outcomes += filter_ring(x, P, used, no_slips, at, poses, echoes, self.odometry, direct, direct.update)
+                outcomes += filter_ring(
+                    x, P, memory.used, [], at, poses, echoes, self.odometry, direct, direct.update
+                )[0]
             at = poses[-1]
         return outcomes
 

@@ -10,7 +10,7 @@ For each hypothesis j, that reading z is of reflector j, with expected range h_j
     x+ = x + sum_j beta_j K_j innovation_j
     P+ = P - sum_j beta_j K_j S_j K_j^T + the spread of the means
 
-A ring of echoes of a live filter takes these steps in `ekf.filter_ring`, by `sonar_ray.update_by_ray` or
+A ring of echoes of a live filter takes these steps in `filter_loop.filter_ring`, by `sonar_ray.update_by_ray` or
 `sonar_cone.update_by_cone`; other filters by `MeasurementUpdate`. States may be longer than a pose. The last two may be
 errors that all readings have in common (RANGE_PARAMETERS): a reading is then expected at
 

@@ -10,7 +10,7 @@ time from the robot's clock. Each echo counts once; limits are never ranges.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -21,24 +21,23 @@ import numpy as np
 
 from localization.filters.base import (
     Disturbable,
+    EncoderRow,
     Filter,
     LocalizationConfig,
     Place,
-    RingFilter,
     Searching,
     Smoothing,
-    process_each,
+    StateFilter,
+    advance_each,
 )
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.health import HEALTHY, FilterHealth
-from localization.filters.odometry import NO_LAG, Lag, pose_at, relative_step
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
     EncoderPose,
     FiringSchedule,
-    FiringTime,
     PoseHistory,
     SensorInput,
     SlipCorrection,
@@ -46,6 +45,9 @@ from localization.live.sensor_input import (
 )
 from nclient.common.process import show_seconds
 from worlds.rings import Ring
+
+LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
+"""Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
 
 
 class Echo(NamedTuple):
@@ -140,11 +142,11 @@ class Localizer:
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
         self._history, self._slip = PoseHistory(), SlipCorrection()
-        self._encoders: EncoderPose | None = None
+        self._encoders: EncoderRow | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
-        self._process_echoes = (
-            self._filter.process if isinstance(self._filter, RingFilter) else partial(process_each, self._filter)
+        self._advance = (
+            self._filter.advance if isinstance(self._filter, StateFilter) else partial(advance_each, self._filter)
         )
         self._disturbable = self._filter if isinstance(self._filter, Disturbable) else None
         self._searching = self._filter if isinstance(self._filter, Searching) else None
@@ -177,71 +179,35 @@ class Localizer:
             history.add(now)
         elif now.clock_s > history.latest.clock_s:
             history.add(now, state.touching)
-        (before, latest), is_uneven = history.last_two, history.is_uneven
+        is_uneven = history.is_uneven
         if self._disturbable:
             self._disturbable.detects_slips = not is_uneven
             if self._slip.rolled_in:
                 self._disturbable.roll_on_spot(self._slip.rolled_in)
-        # 2. Every new echo: predict to the pose of its instant, update.
+        # 2. Every new echo: predict to the pose of its instant, update. Then the estimate now: predicted from the last
+        #    echo, widened by the uncertain instants.
         late_s, clock_std_s = (history.clock_late_s, history.clock_rms_s) if is_uneven else (0.0, LAG_STD_S)
-        firings = self._schedule.readable(self._last_echo_s, latest.clock_s, late_s)
-        echoes = self._process(firings, state.sonars_in) if firings else ()
-        # 3. The estimate now: predicted from the last echo, widened by the uncertain instants.
-        belief = self._filter.predicted(*_step(self._encoders, latest), clock_lag(before, latest, clock_std_s))
-        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
-        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
-
-    def _process(self, firings: list[FiringTime], sonars_in: Sequence[float]) -> tuple[Echo, ...]:
-        """Predict the filter to the encoders at the instant of each echo, and update it."""
-        assert self._encoders is not None
-        new = [(instant_s, sonar, float(sonars_in[sonar])) for sonar, instant_s in firings]
-        poses, self._last_echo_s = self._history.since(new[0][0]), new[-1][0]
-        outcomes = self._process_echoes(self._encoders, poses, new)
-        self._encoders = EncoderPose(self._last_echo_s, *pose_at(poses, self._last_echo_s))
+        sonars_in, latest = state.sonars_in, history.latest
+        new = [
+            (instant_s, sonar, float(sonars_in[sonar]))
+            for sonar, instant_s in self._schedule.readable(self._last_echo_s, latest.clock_s, late_s)
+        ]
+        poses = history.since(new[0][0] if new else latest.clock_s)
+        outcomes, self._encoders, belief = self._advance(self._encoders, poses, new, clock_std_s)
+        if new:
+            self._last_echo_s = new[-1][0]
         if self._smoothing:
             self._instants.extend([instant_s for instant_s, _, _ in new])
-        return tuple(
+        # 3. What else the filter reports.
+        echoes = tuple(
             [
                 Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
                 for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
             ]
         )
-
-
-def _step(before: EncoderPose, after: EncoderPose) -> tuple[float, float]:
-    """Return distance and turn between two poses of the encoders."""
-    _, x, y, heading, _ = before
-    _, to_x, to_y, to_heading, _ = after
-    return relative_step(x, y, heading, to_x, to_y, to_heading)
-
-
-# Uncertain instants.
-
-LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
-"""Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
-_SQRT_3: Final = sqrt(3.0)
-
-
-def clock_lag(before: EncoderPose, now: EncoderPose, std_s: float = LAG_STD_S) -> Lag:
-    """Return what the uncertain instants of echoes and states add to the last two poses of the encoders.
-
-        P + std_s^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), turn rate)
-
-    A clock in steps leaves it open when the ring was restarted and when a state was taken, so the estimate is ahead of
-    the robot or behind it. The first is constant over a run: no filter averages it out, and no noise of the echoes
-    describes it. It is added to what is reported, never to the belief that the filter continues from. A robot that
-    stands has none.
-    """
-    passed_s = now.clock_s - before.clock_s
-    if passed_s <= 0.0:
-        return NO_LAG
-    # Two clocks that err by up to sqrt(3) std_s may be nearly equal: the robot is not that fast.
-    # A comparison, as in health.py: a call of max takes longer.
-    shortest_s = _SQRT_3 * std_s
-    passed_s = passed_s if passed_s > shortest_s else shortest_s
-    distance_in, turn_rad = _step(before, now)
-    return std_s * distance_in / passed_s, std_s * turn_rad / passed_s
+        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
+        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
+        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
 
 
 # Consistency of a whole run.

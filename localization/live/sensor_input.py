@@ -370,12 +370,6 @@ class PoseHistory:
         return self.clock_late_s / math.sqrt(3.0)
 
     @property
-    def last_two(self) -> tuple[EncoderPose, EncoderPose]:
-        """The last two poses, earlier first; of a single one, it twice."""
-        poses = self._poses
-        return poses[-2] if len(poses) > 1 else poses[-1], poses[-1]
-
-    @property
     def latest(self) -> EncoderPose:
         """The last pose."""
         return self._poses[-1]

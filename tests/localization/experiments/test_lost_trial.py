@@ -9,7 +9,7 @@ import pytest
 from localization.experiments import lost
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost import Case, Kind, drive
-from localization.filters.health import IntegrityMonitor
+from localization.filters.health import COUNT, MATCHED, IntegrityMonitor
 
 pytestmark = pytest.mark.long
 
@@ -27,7 +27,7 @@ def test_tracking_run_has_given_length_and_no_alarm() -> None:
 
 def test_alarms_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A watch that pings every thirty echoes: some alarms, and the robot finds itself between them."""
-    monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda watch: len(watch._matched) >= 30))
+    monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda watch: watch.windows[MATCHED][COUNT] >= 30))
     assert drive(EXACT).alarms >= 2
 
 

@@ -1,4 +1,4 @@
-"""The compiled loop over a ring against the same source in plain Python, and what happens without numba."""
+"""The compiled loop over a state against the same source in plain Python, and what happens without numba."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ import pytest
 from localization.filters import compiled
 from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model, process_each
 from localization.filters.belief import Belief, unpack, with_constants
-from localization.filters.ekf import KalmanFilter, filter_ring
-from localization.filters.health import SlipTest
-from localization.filters.odometry import OdometryNoise, widen_prediction
+from localization.filters.ekf import KalmanFilter
+from localization.filters.filter_loop import Drive, Memory, filter_state, known_to
+from localization.filters.health import HealthLimits, empty_slip_sums, empty_windows
+from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeModel, ConeSonar, update_by_cone
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel, RaySonar, update_by_ray
-from localization.filters.update import Refusal
+from localization.filters.update import CorrelatedReadings, Refusal
 from worlds.compiled import VARIABLE
 from worlds.io import load_world
 from worlds.robots import N150
@@ -47,27 +48,33 @@ def random_ring(rng: np.random.Generator) -> tuple[EncoderRow, list[EncoderRow],
 @pytest.mark.parametrize("n", [3, 4, 6])
 @pytest.mark.parametrize("sonar", [WIRE_SONAR, ConeSonar()])
 @pytest.mark.parametrize("range_stds", [(), (0.5, 0.015)])
-def test_compiled_rings_equal_plain_python_to_the_bit(
+def test_compiled_states_equal_plain_python_to_the_bit(
     sonar: RaySonar | ConeSonar, n: int, range_stds: tuple[float, ...]
 ) -> None:
     model = measurement_model(WALLS, N150, sonar, range_parameters=len(range_stds))
     assert isinstance(model, RayModel | ConeModel)
-    ring = compiled.ring(filter_ring, widen_prediction, model, NOISE)
-    assert ring is not None
-    rng, refusals = np.random.default_rng(n), set()
+    known = known_to(NOISE, model, HealthLimits(window=20, slip_nats=1.5), (30.0, 40.0))
+    fast = compiled.filter_of(known)
+    assert fast is not None
+    rng, refusals, seen = np.random.default_rng(n), set(), []
     mean, std = np.array([20.0, 50.0, 0.3, 0.01, -0.01, 1e-4])[:n], np.array([0.5, 0.5, 0.02, 0.02, 0.02, 1e-3])[:n]
     belief = with_constants(Belief(mean, np.diag(std**2)), range_stds)
-    (x, P), used, slips = unpack(belief), [[0.0] * 4 for _ in range(17)], SlipTest().sums
-    arrays = [np.array(part) for part in (x, P, used, slips)]
-    for _ in range(30):
-        drive = random_ring(rng)
-        plain = filter_ring(x, P, used, slips, *drive, NOISE, model, model.update)
-        fast = ring.filter(arrays[0], arrays[1], arrays[2], arrays[3], *drive)
-        np.testing.assert_array_equal(fast, plain)
-        refusals |= {outcome[0] for outcome in plain}
-    assert [array.tolist() for array in arrays] == [x, P, used, slips]
-    assert max(map(max, slips)) > 0.0
+    lists = Memory(*unpack(belief), CorrelatedReadings().used, empty_slip_sums(), empty_windows(20))
+    arrays = Memory(*(np.array(part) for part in lists))  # type: ignore[arg-type]
+    for k in range(30):
+        drive = Drive(*random_ring(rng), clock_std_s=0.01, detects_slips=k % 10 != 9)
+        x, P = [0.0] * n, [[0.0] * n for _ in range(n)]
+        outcomes, *plain = filter_state(lists, drive, known, model.update, x, P)
+        fast_outcomes, *others, reported = fast.filter(arrays, drive, n)
+        np.testing.assert_array_equal(fast_outcomes, outcomes)
+        assert others == plain
+        assert (reported.mean.tolist(), reported.cov.tolist()) == (x, P)
+        refusals |= {outcome[0] for outcome in outcomes}
+        seen.append(plain[1])
+    assert [np.array(array).tolist() for array in arrays] == [np.array(part).tolist() for part in lists]
     assert refusals >= {Refusal.NONE, Refusal.LIMIT, Refusal.GATE}
+    _, matched, nis_ratio, since_slip, slipped, _ = (set(signs) for signs in zip(*seen, strict=True))
+    assert min(len(matched), len(nis_ratio), len(since_slip), len(slipped)) > 1, "each is tried"
 
 
 @pytest.mark.long
@@ -90,7 +97,8 @@ def test_compiled_filter_equals_the_plain_one(monkeypatch: pytest.MonkeyPatch) -
     # The prediction that is reported, widened by all that widens it; the belief stays as it is.
     for filter_ in (fast, plain):
         filter_._monitor.slip.add(-2.0, 9.0, 1.0)
-    one, other = (filter_.predicted(1.5, 0.1, (0.2, 0.01)) for filter_ in (fast, plain))
+    encoders, poses, _ = drive
+    one, other = (filter_.advance(encoders, poses, [], 0.01)[2] for filter_ in (fast, plain))
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.cov, other.cov)
     assert one.cov[0, 0] > fast.belief.cov[0, 0]
@@ -111,7 +119,7 @@ def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> N
     model = measurement_model(WALLS, N150, WIRE_SONAR)
     assert isinstance(model, RayModel)
     assert not compiled.load()
-    assert compiled.ring(filter_ring, widen_prediction, model, NOISE) is None
+    assert compiled.filter_of(known_to(NOISE, model, HealthLimits())) is None
     compiled.load.cache_clear()
 
 
@@ -142,9 +150,9 @@ def test_compiled_code_is_used_where_nothing_waits_unseen(
     else:
         monkeypatch.setenv(VARIABLE, word)
     if on_disk:
-        compiled._mark(filter_ring, update_by_ray).touch()
-    assert compiled.is_wanted(filter_ring, update_by_ray) is wanted
-    assert not compiled.is_wanted(filter_ring, update_by_cone) or word == "always" or stderr.isatty()
+        compiled._mark(update_by_ray).touch()
+    assert compiled.is_wanted(update_by_ray) is wanted
+    assert not compiled.is_wanted(update_by_cone) or word == "always" or stderr.isatty()
 
 
 def test_passing_over_limits_changes_no_belief() -> None:

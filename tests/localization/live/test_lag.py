@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats, independent
-from localization.filters.odometry import add_lag, move
-from localization.live.localizer import clock_lag
+from localization.filters.odometry import add_lag, clock_lag, move
+from localization.live.localizer import LAG_STD_S
 from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose, PoseHistory, clock_error
 
 
@@ -24,7 +24,7 @@ def test_the_lag_is_that_of_instants_within_one_step() -> None:
     drawn = move(pose, late[:, None] * rates)
     # Headings near pi: differences must wrap.
     before = np.array([10.0, 20.0, 3.13])
-    lag = clock_lag(encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
+    lag = clock_lag(encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)), LAG_STD_S)
     output = add_lag(independent(pose, np.zeros(3)), lag)
     # 200,000 draws determine the covariance to 1 %.
     np.testing.assert_allclose(output.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
@@ -34,7 +34,8 @@ def test_the_lag_is_that_of_instants_within_one_step() -> None:
 def test_the_rest_of_a_state_and_the_belief_itself_stay() -> None:
     belief = independent([0.0, 0.0, 0.0, 0.01], [0.1, 0.1, 0.01, 0.05])
     before = belief.cov.copy()
-    output = add_lag(belief, clock_lag(encoders(0.0, np.zeros(3)), encoders(0.5, np.array([10.0, 0.0, 0.0]))))
+    lag = clock_lag(encoders(0.0, np.zeros(3)), encoders(0.5, np.array([10.0, 0.0, 0.0])), LAG_STD_S)
+    output = add_lag(belief, lag)
     assert output.cov[0, 0] == pytest.approx(0.1**2 + (20.0 * CLOCK_STEP_S) ** 2 / 6.0)
     assert output.cov[3, 3] == before[3, 3]
     assert (belief.cov == before).all()
@@ -43,8 +44,8 @@ def test_the_rest_of_a_state_and_the_belief_itself_stay() -> None:
 def test_standing_robot_has_no_lag() -> None:
     belief = independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01])
     here = encoders(1.0, np.zeros(3))
-    assert add_lag(belief, clock_lag(here, encoders(2.0, np.zeros(3)))) is belief
-    assert add_lag(belief, clock_lag(here, here)) is belief
+    assert add_lag(belief, clock_lag(here, encoders(2.0, np.zeros(3)), LAG_STD_S)) is belief
+    assert add_lag(belief, clock_lag(here, here, LAG_STD_S)) is belief
 
 
 @pytest.mark.parametrize("rates", [[5.0, 0.3], [0.0, -0.8], [5.0, 0.0]])

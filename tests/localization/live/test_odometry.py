@@ -55,12 +55,3 @@ def test_the_oldest_poses_are_dropped_but_not_the_last_two() -> None:
     assert encoders_at(history, 0.0).pose[0] >= 1000 - 10 * HISTORY_S - 3
     history.add(pose(1e6, 5.0))
     assert encoders_at(history, 99.9).pose[0] == pytest.approx(999.0)
-
-
-def test_the_last_two_of_one_are_both() -> None:
-    history = PoseHistory()
-    first, second = pose(1.0, 3.0), pose(2.0, 4.0)
-    history.add(first)
-    assert history.last_two == (first, first)
-    history.add(second)
-    assert history.last_two == (first, second)
