@@ -135,7 +135,8 @@ def _places(estimate: MapEstimate) -> Floats:
 def compare_returns(estimate: MapEstimate) -> list[Part]:
     """Return the tests of features that were left and measured again: the late map first, then each feature.
 
-    Sums of correlated residuals vary as (1 + rho) / (1 - rho) those of independent ones do.
+    Sums of correlated residuals vary as (1 + rho) / (1 - rho) those of independent ones do. Where the ranges vary less
+    than stated, late ones must agree with early ones as much better.
     """
     state = estimate.state
     linear = estimate.problem.linearize_echoes(state, estimate.assignment)
@@ -147,8 +148,11 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     if not late:
         return []
     E, e = late_information(estimate, list(late.values()))
+    # The variance of sums of correlated residuals, and of ranges that are more accurate than stated.
     rho = _correlation(linear.residuals[:, 0], groups)
-    factor, places = (1.0 + rho) / (1.0 - rho), _places(estimate)
+    free = 1.0 - leverages(estimate.problem, state, estimate.assignment)[0]
+    variance = float(np.square(linear.residuals[:, 0]).sum() / max(float(free.sum()), MIN_FREEDOM))
+    factor, places = min(variance, 1.0) * (1.0 + rho) / (1.0 - rho), _places(estimate)
     walls = len(state.walls)
     parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, RISK, factor))]
     for row, number in enumerate(late):
