@@ -46,6 +46,8 @@ from localization.mapping.solver import NormalEquations
 
 RISK: Final = 0.001
 """Probability with which a sound drive fails the test of the whole, or one of those of all parts."""
+RETURN_RISK: Final = 0.01
+"""The same of late against early, alone and together: of a wrong map often a single feature shows it, by little."""
 MIN_FREEDOM: Final = 1.0
 """Parts with fewer degrees of freedom are not tested: nothing checks them."""
 MAX_CORRELATION: Final = 0.5
@@ -154,11 +156,11 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     variance = float(np.square(linear.residuals[:, 0]).sum() / max(float(free.sum()), MIN_FREEDOM))
     factor, places = min(variance, 1.0) * (1.0 + rho) / (1.0 - rho), _places(estimate)
     walls = len(state.walls)
-    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, RISK, factor))]
+    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, RETURN_RISK, factor))]
     for row, number in enumerate(late):
         own = slice(WALL * row, WALL * (row + 1))
         kind = LATE + ("wall" if number < walls else "point")
-        parts.append(Part(kind, places[number], *_score(E[own, own], e[own], RISK / len(late), factor)))
+        parts.append(Part(kind, places[number], *_score(E[own, own], e[own], RETURN_RISK / len(late), factor)))
     return parts
 
 

@@ -162,9 +162,11 @@ class MapLearner:
             if not revise(self.estimate):
                 break
         tie_points(self.estimate)
-        weigh_ranges(self.estimate)
-        self.estimate.optimize(LAST_STEPS)
-        self.estimate.measure_extents()
+        # With the weights of its ranges, and without those that the map then explains no more.
+        for _ in range(2):
+            weigh_ranges(self.estimate)
+            self.estimate.optimize(LAST_STEPS)
+            self.estimate.associate()
 
 
 def revise(estimate: MapEstimate) -> int:

@@ -14,6 +14,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import (
+    RETURN_RISK,
     RISK,
     check_parts,
     compare_returns,
@@ -217,7 +218,7 @@ def test_wall_that_is_elsewhere_later_contradicts(estimate: MapEstimate) -> None
     rho = max(products / (r @ r), 0.0)
     variance = r @ r / (len(r) - leverages(shifted.problem, shifted.state, shifted.assignment)[0].sum())
     assert 0.3 < variance < 1.0
-    assert wall.limit == pytest.approx(chdtri(2.0, RISK) * variance * (1.0 + rho) / (1.0 - rho))
+    assert wall.limit == pytest.approx(chdtri(2.0, RETURN_RISK) * variance * (1.0 + rho) / (1.0 - rho))
 
 
 def test_features_in_sight_all_the_time_are_not_compared(estimate: MapEstimate) -> None:
