@@ -172,8 +172,8 @@ def test_schema_and_reader_agree(kind: str, monkeypatch: pytest.MonkeyPatch) -> 
     for module in ("worlds.schema.files", "localization.navigation.mission_steps", "nclient.faults.plan"):
         monkeypatch.setattr(f"{module}.parse_toml", lambda *_: copy.deepcopy(mutant))
     refused = 0
-    for mutant in chain.from_iterable(mutants(tomllib.loads(seed)) for seed in SEEDS[kind]):
-        error = is_read(kind, "")
+    for number, mutant in enumerate(chain.from_iterable(mutants(tomllib.loads(seed)) for seed in SEEDS[kind])):
+        error = is_read(kind, f"# {number}")  # a text of its own, as parsed worlds are cached by their text
         is_valid = validator(kind).is_valid(mutant)
         if is_valid:
             assert not error or BEYOND_THE_SCHEMA.search(error), mutant
