@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError
 from localization.experiments import live_trial  # noqa: F401 - most experiments drive its robots
 from localization.filters import compiled
 from localization.filters.base import THESIS_ODOMETRY
-from localization.filters.filter_loop import known_to
+from localization.filters.filter_loop import filter_config
 from localization.filters.health import HealthLimits
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel
@@ -24,7 +24,7 @@ def load_compiled_code() -> None:
     walls = [(0.0, 100.0, 100.0, 100.0)]
     for model in (RayModel(walls, N150, WIRE_SONAR), ConeModel(walls, N150, ConeSonar())):
         if mark_path(model.update.__name__, compiled.source_checksum()).exists():
-            compiled.filter_of(known_to(THESIS_ODOMETRY, model, HealthLimits()))
+            compiled.filter_of(filter_config(THESIS_ODOMETRY, model, HealthLimits()))
     if is_compiled_for(1):
         FIRST_ECHO.prepare(is_used=True)
     FIRST_ECHO.count_calls(CALLS_BEFORE_LOADING)

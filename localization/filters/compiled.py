@@ -20,7 +20,7 @@ import numpy as np
 from localization.filters import belief, filter_loop, health, odometry, sonar_cone, sonar_ray, update
 from localization.filters.base import EncoderRow
 from localization.filters.belief import POSE, Belief, Floats
-from localization.filters.filter_loop import Drive, Known, Memory, filter_state, new_memory
+from localization.filters.filter_loop import FilterConfig, FilterMemory, StateInput, filter_state, new_memory
 from localization.filters.health import Signs
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
@@ -31,11 +31,11 @@ from worlds.compiled import checksum, compile_function, functions_of, make_compi
 
 ENCODERS, ECHO, OUTCOME, SIGNS = 5, 3, 6, 6
 """Elements of `base.EncoderRow`, of `base.NewEcho`, of `update.Outcome` and of `health.Signs`."""
-DRIVE = ENCODERS + 2
-"""Elements before the poses in a drive: the encoders, and what else a state has."""
+SCALARS = ENCODERS + 2
+"""Elements before the poses: the encoders, and the other two numbers of a `filter_loop.StateInput`."""
 _log = logging.getLogger(__name__)
 
-# What compiled code reads of the classes of the same name.
+# The fields that compiled code reads of the classes of the same name.
 NoiseRow = NamedTuple("NoiseRow", [(field.name, float) for field in fields(OdometryNoise)])  # type: ignore[misc]
 RaySonarRow = NamedTuple(
     "RaySonarRow", [*((field.name, float) for field in fields(RaySonar)), ("range_span_in", float)]  # type: ignore[misc]
@@ -103,8 +103,8 @@ def row_of(row: Any, record: object) -> Any:
 # of any size, a named tuple several times as much. So all that stays from call to call is one array.
 
 
-class KnownArrays(NamedTuple):
-    """An `ekf.Known`."""
+class ConfigArrays(NamedTuple):
+    """A `filter_loop.FilterConfig`."""
 
     noise: Any
     model: Any
@@ -113,14 +113,14 @@ class KnownArrays(NamedTuple):
     middle: tuple[float, float]
 
 
-def pack_known(known: Known) -> Floats:
-    """Return what a filter is configured with in one array, which `_known` unpacks.
+def pack_config(config: FilterConfig) -> Floats:
+    """Return what a filter is configured with in one array, which `_config_of` unpacks.
 
     Named tuples stand in it as they are, arrays of rows after their number of rows.
     """
-    model: Any = known.model
+    model: Any = config.model
     walls = model.walls
-    limits = *known.middle, known.slip_nats, len(known.max_totals), *known.max_totals
+    limits = *config.middle, config.slip_nats, len(config.max_totals), *config.max_totals
     if isinstance(model, RayModel):
         sonar = row_of(RaySonarRow, model.noise)
         rest = [*row_of(GateRow, model.gate), model.threshold]
@@ -128,7 +128,7 @@ def pack_known(known: Known) -> Floats:
         sonar, rest = row_of(ConeSonarRow, model.noise), [*_packed(model.faces), *_packed(model.vertices)]
     walls = [*walls.middle, *_packed(walls.segments), *_packed(walls.lines)]
     shared = *_packed(model.mounts), model.range_parameters
-    return np.array([*row_of(NoiseRow, known.noise), *limits, *sonar, *walls, *shared, *rest], dtype=np.float64)
+    return np.array([*row_of(NoiseRow, config.noise), *limits, *sonar, *walls, *shared, *rest], dtype=np.float64)
 
 
 def _packed(rows: Sequence[Sequence[float]] | Floats) -> list[float]:
@@ -162,14 +162,14 @@ def _unpack_walls(numbers: Any) -> tuple[PackedWalls, Any, int, Any]:
 
 
 def _ray_model(numbers: Any) -> RayArrays:
-    """Return the model of rays from `pack_known`, in compiled code."""
+    """Return the model of rays from `pack_config`, in compiled code."""
     sonar = RaySonarRow(*_first(_RAY, numbers))
     walls, mounts, parameters, numbers = _unpack_walls(numbers[_RAY:])
     return RayArrays(sonar, walls, GateRow(*_first(_GATE, numbers)), numbers[_GATE], mounts, parameters)
 
 
 def _cone_model(numbers: Any) -> ConeArrays:
-    """Return the model of cones from `pack_known`, in compiled code."""
+    """Return the model of cones from `pack_config`, in compiled code."""
     sonar = ConeSonarRow(*_first(_CONE, numbers))
     walls, mounts, parameters, numbers = _unpack_walls(numbers[_CONE:])
     faces, numbers = _unpack_rows(5, numbers)
@@ -177,13 +177,13 @@ def _cone_model(numbers: Any) -> ConeArrays:
     return ConeArrays(sonar, walls, faces, vertices, mounts, parameters)
 
 
-def _known(numbers: Any, assemble: Callable[[Any], Any]) -> KnownArrays:
-    """Return what `pack_known` has packed, in compiled code, with the model that `assemble` unpacks."""
+def _config_of(numbers: Any, assemble: Callable[[Any], Any]) -> ConfigArrays:
+    """Return what `pack_config` has packed, in compiled code, with the model that `assemble` unpacks."""
     noise, numbers = NoiseRow(*_first(_ODOMETRY, numbers)), numbers[_ODOMETRY:]
     middle, slip_nats = (numbers[0], numbers[1]), numbers[2]
     totals = int(numbers[3])
     end = 4 + totals
-    return KnownArrays(noise, assemble(numbers[end:]), slip_nats, numbers[4:end], middle)
+    return ConfigArrays(noise, assemble(numbers[end:]), slip_nats, numbers[4:end], middle)
 
 
 # Compiling.
@@ -311,19 +311,19 @@ def _compile(correct: Callable[..., Outcome]) -> Callable[..., None]:
     sources = source_checksum()
 
     def run(
-        x: Any, P: Any, used: Any, slip_sums: Any, windows: Any, drive: Any, count: int, mean: Any, cov: Any,
+        x: Any, P: Any, used: Any, slip_sums: Any, windows: Any, inputs: Any, count: int, mean: Any, cov: Any,
         results: Any, numbers: Any,
     ) -> None:  # fmt: skip
         assert sources >= 0
-        known: Any = _known(numbers, assemble)
-        # 1. The encoders, what else the state has, `count` poses, and the echoes, one after another in `drive`.
-        end = DRIVE + ENCODERS * count
-        poses, rest = drive[DRIVE:end].reshape((count, ENCODERS)), drive[end:]
+        config: Any = _config_of(numbers, assemble)
+        # 1. `inputs` has the encoders, two numbers, `count` poses and the echoes, one after another.
+        end = SCALARS + ENCODERS * count
+        poses, rest = inputs[SCALARS:end].reshape((count, ENCODERS)), inputs[end:]
         echoes = rest.reshape((len(rest) // ECHO, ECHO))
-        before: Any = _first(ENCODERS, drive)
-        given = Drive(before, poses, echoes, drive[ENCODERS], drive[ENCODERS + 1] != 0.0)
-        memory = Memory(x, P, used, slip_sums, windows)
-        outcomes, encoders, signs = filter_state(memory, given, known, correct, mean, cov)
+        before: Any = _first(ENCODERS, inputs)
+        state = StateInput(before, poses, echoes, inputs[ENCODERS], inputs[ENCODERS + 1] != 0.0)
+        memory = FilterMemory(x, P, used, slip_sums, windows)
+        outcomes, encoders, signs = filter_state(memory, state, config, correct, mean, cov)
         # 2. The results in an array: to return tuples and lists would take longer than to filter.
         k = 0
         for value in encoders:
@@ -337,7 +337,7 @@ def _compile(correct: Callable[..., Outcome]) -> Callable[..., None]:
             results[k + 3], results[k + 4], results[k + 5] = outlier_probability, likelihood, slope
             k += OUTCOME
 
-    make_compilable([assemble, _known, _unpack_walls, _unpack_rows])
+    make_compilable([assemble, _config_of, _unpack_walls, _unpack_rows])
     return compile_function(run)
 
 
@@ -348,9 +348,9 @@ _RESULTS: Final = ENCODERS + SIGNS
 class CompiledFilter:
     """`filter_loop.filter_state` in machine code, for one configuration."""
 
-    def __init__(self, known: Known) -> None:
-        correct = known.model.update
-        self._run, self._numbers = _compile(correct), pack_known(known)
+    def __init__(self, config: FilterConfig) -> None:
+        correct = config.model.update
+        self._run, self._numbers = _compile(correct), pack_config(config)
         mark = _mark(correct)
         if mark.exists():
             self._warm_up()
@@ -364,11 +364,14 @@ class CompiledFilter:
         x: Any = np.zeros(POSE)
         P: Any = np.zeros((POSE, POSE))
         encoders = (0.0, 0.0, 0.0, 0.0, 0.0)
-        self.filter(new_memory(x, P, as_array=True), Drive(encoders, [encoders], [], 0.0, detects_slips=False), POSE)
+        state = StateInput(encoders, [encoders], [], 0.0, detects_slips=False)
+        self.filter(new_memory(x, P, as_array=True), state, POSE)
 
-    def filter(self, memory: Memory, drive: Drive, size: int) -> tuple[list[Outcome], EncoderRow, Signs, Belief]:
+    def filter(
+        self, memory: FilterMemory, state: StateInput, size: int
+    ) -> tuple[list[Outcome], EncoderRow, Signs, Belief]:
         """Return `filter_state`, and the prediction of the first `size` coordinates; the memory is in arrays."""
-        encoders, poses, echoes, clock_std_s, detects_slips = drive
+        encoders, poses, echoes, clock_std_s, detects_slips = state
         numbers = [*encoders, clock_std_s, detects_slips]
         for pose in poses:
             numbers += pose
@@ -381,6 +384,6 @@ class CompiledFilter:
         return outcomes, tuple(values[:ENCODERS]), tuple(values[ENCODERS:_RESULTS]), Belief(mean, cov)
 
 
-def filter_of(known: Known | None) -> CompiledFilter | None:
+def filter_of(config: FilterConfig | None) -> CompiledFilter | None:
     """Return the compiled filter; None for a model without an update of its own, without numba, or if not wanted."""
-    return CompiledFilter(known) if known and is_wanted(known.model.update) and load() else None
+    return CompiledFilter(config) if config and is_wanted(config.model.update) and load() else None

@@ -26,7 +26,7 @@ import numpy as np
 from localization.filters import compiled
 from localization.filters.base import Advance, EncoderRow, NewEcho, advance_each, process_each
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
-from localization.filters.filter_loop import Drive, Memory, filter_state, known_to
+from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
 from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
 from localization.filters.odometry import (
@@ -140,8 +140,8 @@ class KalmanFilter:
         """The model, where `filter_state` takes a whole state by it; None: `process_each`, one by one."""
         # The monitor of the estimate, and the outcomes that it judges by.
         self._monitor = IntegrityMonitor(limits)
-        self._known = known_to(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
-        self._compiled = compiled.filter_of(self._known)
+        self._config = filter_config(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
+        self._compiled = compiled.filter_of(self._config)
         """`filter_state` as machine code, where that is wanted; None: as plain Python."""
         is_compiled = self._compiled is not None
         if is_compiled:
@@ -150,7 +150,7 @@ class KalmanFilter:
         self._P: Any
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
         self._correlated = CorrelatedReadings(as_array=is_compiled)
-        self._memory = Memory(
+        self._memory = FilterMemory(
             self._x, self._P, self._correlated.used, self._monitor.slip.sums, self._monitor.windows
         )
         self._has_slip_test = self._monitor.limits.slip_nats < inf
@@ -226,7 +226,7 @@ class KalmanFilter:
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
     ) -> Advance:
         """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
-        if not self._known:
+        if not self._config:
             return advance_each(self, encoders, poses, echoes, clock_std_s)
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
         (low_in, high_in), ranges = self._limits_in, echoes
@@ -234,13 +234,13 @@ class KalmanFilter:
             ranges = [echo for echo in echoes[:-1] if low_in < echo[READING] < high_in]
             ranges.append(echoes[-1])
         # 2. Predict to each range and correct by it; predict to the state.
-        drive = Drive(encoders, poses, ranges, clock_std_s, self.detects_slips and self._has_slip_test)
+        state = StateInput(encoders, poses, ranges, clock_std_s, self.detects_slips and self._has_slip_test)
         if self._compiled:
-            outcomes, after, self._signs, belief = self._compiled.filter(self._memory, drive, self._size)
+            outcomes, after, self._signs, belief = self._compiled.filter(self._memory, state, self._size)
         else:
             mean, cov = [0.0] * self._size, [[0.0] * self._size for _ in range(self._size)]
-            correct = self._known.model.update
-            outcomes, after, self._signs = filter_state(self._memory, drive, self._known, correct, mean, cov)
+            correct = self._config.model.update
+            outcomes, after, self._signs = filter_state(self._memory, state, self._config, correct, mean, cov)
             belief = Belief(np.array(mean), np.array(cov))
         # 3. Another heading: the prediction anew.
         if self._headings and echoes and self._check_heading(poses, echoes):

@@ -57,8 +57,8 @@ from localization.filters.update import (
 )
 
 
-class Memory(NamedTuple):
-    """What the filter knows between two states of the robot: lists in plain Python, arrays for compiled code.
+class FilterMemory(NamedTuple):
+    """Belief and counts that the filter carries from state to state: lists in plain Python, arrays for compiled code.
 
     Attributes
     ----------
@@ -77,8 +77,8 @@ class Memory(NamedTuple):
     windows: Windows
 
 
-class Known(NamedTuple):
-    """What the filter is configured with.
+class FilterConfig(NamedTuple):
+    """Noise, sonar model and limits of a filter, which stay as they are.
 
     Attributes
     ----------
@@ -97,8 +97,8 @@ class Known(NamedTuple):
     middle: tuple[float, float]
 
 
-class Drive(NamedTuple):
-    """What a new state of the robot shows.
+class StateInput(NamedTuple):
+    """Encoders, echoes and clock of a new state of the robot.
 
     Attributes
     ----------
@@ -118,9 +118,9 @@ class Drive(NamedTuple):
 
 
 def filter_state(
-    memory: Memory,
-    drive: Drive,
-    known: Known,
+    memory: FilterMemory,
+    state: StateInput,
+    config: FilterConfig,
     correct: Callable[..., Outcome],
     mean: State,
     cov: Covariance,
@@ -144,22 +144,22 @@ def filter_state(
         The outcome of each echo, the encoders at the last one, and the signs of health.
     """
     x, P, used, slip_sums, windows = memory
-    poses = drive.poses
+    poses = state.poses
     # 1. Predict to each echo, and correct by it.
-    tested = slip_sums if drive.detects_slips else slip_sums[:0]
+    tested = slip_sums if state.detects_slips else slip_sums[:0]
     outcomes, encoders = filter_ring(
-        x, P, used, tested, drive.encoders, poses, drive.echoes, known.noise, known.model, correct
+        x, P, used, tested, state.encoders, poses, state.echoes, config.noise, config.model, correct
     )
     # 2. The monitor judges by the outcomes of ranges; a slip of the wheels widens P.
     for refusal, _, nis, outlier_probability, _, _ in outcomes:
         if refusal in INFORMATIVE:
             add_reading(windows, slip_sums, nis, outlier_probability)
-            if drive.detects_slips:
+            if state.detects_slips:
                 slip_sums[COUNTS][READINGS] += 1.0
-    slip_in = take_slip(slip_sums, known.slip_nats)
+    slip_in = take_slip(slip_sums, config.slip_nats)
     if slip_in != 0.0:
         widen_by_slip(x, P, slip_in)
-    signs = signs_of(P, windows, slip_sums, known.max_totals)
+    signs = signs_of(P, windows, slip_sums, config.max_totals)
     # 3. The prediction, of a copy: the scale of the map is the last of the range parameters.
     for i in range(len(mean)):
         mean[i] = x[i]
@@ -168,9 +168,9 @@ def filter_state(
     now, before = poses[len(poses) - 1], poses[max(len(poses) - 2, 0)]
     distance, turn = relative_step(encoders[1], encoders[2], encoders[3], now[1], now[2], now[3])
     _, _, nis_ratio, _, _, slipped_in2 = signs
-    lag, scale = clock_lag(before, now, drive.clock_std_s), x[-1] if known.model.range_parameters > 0 else 0.0
+    lag, scale = clock_lag(before, now, state.clock_std_s), x[-1] if config.model.range_parameters > 0 else 0.0
     widen_prediction(
-        mean, cov, distance, turn, known.noise, nis_ratio, lag, scale, known.middle, slipped_in2, predict_state
+        mean, cov, distance, turn, config.noise, nis_ratio, lag, scale, config.middle, slipped_in2, predict_state
     )
     return outcomes, encoders, signs
 
@@ -235,16 +235,16 @@ def filter_ring(
     return outcomes, encoders
 
 
-def known_to(
+def filter_config(
     noise: OdometryNoise, model: DirectModel, limits: HealthLimits, middle: tuple[float, float] = (0.0, 0.0)
-) -> Known:
-    """Return what `filter_state` has to know, with the limits of the monitor."""
-    return Known(noise, model, limits.slip_nats, nis_limits(limits.nis_probability, limits.window), middle)
+) -> FilterConfig:
+    """Return the configuration for `filter_state`, with the limits of the monitor."""
+    return FilterConfig(noise, model, limits.slip_nats, nis_limits(limits.nis_probability, limits.window), middle)
 
 
-def new_memory(x: State, P: Covariance, *, as_array: bool = False) -> Memory:
+def new_memory(x: State, P: Covariance, *, as_array: bool = False) -> FilterMemory:
     """Return a memory without readings yet, for a filter without a monitor: x and P are lists, or arrays."""
     used, slip_sums, windows = CorrelatedReadings(as_array=as_array).used, empty_slip_sums(), empty_windows(1)
     if as_array:
-        return Memory(x, P, used, np.array(slip_sums), np.array(windows))
-    return Memory(x, P, used, slip_sums, windows)
+        return FilterMemory(x, P, used, np.array(slip_sums), np.array(windows))
+    return FilterMemory(x, P, used, slip_sums, windows)

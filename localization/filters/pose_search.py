@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from localization.filters import compiled
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
-from localization.filters.filter_loop import Drive, filter_ring, known_to, new_memory
+from localization.filters.filter_loop import StateInput, filter_config, filter_ring, new_memory
 from localization.filters.health import HealthLimits
 from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
@@ -119,7 +119,7 @@ class EchoReplay:
     def _compiled(self) -> compiled.CompiledFilter | None:
         """The compiled loop, where that is wanted."""
         direct = self._measurement.direct
-        return compiled.filter_of(known_to(self.odometry, direct, HealthLimits())) if direct else None
+        return compiled.filter_of(filter_config(self.odometry, direct, HealthLimits())) if direct else None
 
     def load(self) -> None:
         """Load compiled code now, which takes longer than an update may."""
@@ -151,7 +151,8 @@ class EchoReplay:
             ]
             echoes = [(float(first + k), each.sonar, each.reading_in) for k, each in enumerate(part)]
             if self._compiled:
-                outcomes += self._compiled.filter(memory, Drive(at, poses, echoes, 0.0, detects_slips=False), POSE)[0]
+                state = StateInput(at, poses, echoes, 0.0, detects_slips=False)
+                outcomes += self._compiled.filter(memory, state, POSE)[0]
             else:
                 outcomes += filter_ring(
                     x, P, memory.used, [], at, poses, echoes, self.odometry, direct, direct.update

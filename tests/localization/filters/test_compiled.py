@@ -14,7 +14,7 @@ from localization.filters import compiled
 from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model, process_each
 from localization.filters.belief import Belief, unpack, with_constants
 from localization.filters.ekf import KalmanFilter
-from localization.filters.filter_loop import Drive, Memory, filter_state, known_to
+from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.health import HealthLimits, empty_slip_sums, empty_windows
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
@@ -53,19 +53,19 @@ def test_compiled_states_equal_plain_python_to_the_bit(
 ) -> None:
     model = measurement_model(WALLS, N150, sonar, range_parameters=len(range_stds))
     assert isinstance(model, RayModel | ConeModel)
-    known = known_to(NOISE, model, HealthLimits(window=20, slip_nats=1.5), (30.0, 40.0))
-    fast = compiled.filter_of(known)
+    config = filter_config(NOISE, model, HealthLimits(window=20, slip_nats=1.5), (30.0, 40.0))
+    fast = compiled.filter_of(config)
     assert fast is not None
     rng, refusals, seen = np.random.default_rng(n), set(), []
     mean, std = np.array([20.0, 50.0, 0.3, 0.01, -0.01, 1e-4])[:n], np.array([0.5, 0.5, 0.02, 0.02, 0.02, 1e-3])[:n]
     belief = with_constants(Belief(mean, np.diag(std**2)), range_stds)
-    lists = Memory(*unpack(belief), CorrelatedReadings().used, empty_slip_sums(), empty_windows(20))
-    arrays = Memory(*(np.array(part) for part in lists))  # type: ignore[arg-type]
+    lists = FilterMemory(*unpack(belief), CorrelatedReadings().used, empty_slip_sums(), empty_windows(20))
+    arrays = FilterMemory(*(np.array(part) for part in lists))  # type: ignore[arg-type]
     for k in range(30):
-        drive = Drive(*random_ring(rng), clock_std_s=0.01, detects_slips=k % 10 != 9)
+        state = StateInput(*random_ring(rng), clock_std_s=0.01, detects_slips=k % 10 != 9)
         x, P = [0.0] * n, [[0.0] * n for _ in range(n)]
-        outcomes, *plain = filter_state(lists, drive, known, model.update, x, P)
-        fast_outcomes, *others, reported = fast.filter(arrays, drive, n)
+        outcomes, *plain = filter_state(lists, state, config, model.update, x, P)
+        fast_outcomes, *others, reported = fast.filter(arrays, state, n)
         np.testing.assert_array_equal(fast_outcomes, outcomes)
         assert others == plain
         assert (reported.mean.tolist(), reported.cov.tolist()) == (x, P)
@@ -119,7 +119,7 @@ def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> N
     model = measurement_model(WALLS, N150, WIRE_SONAR)
     assert isinstance(model, RayModel)
     assert not compiled.load()
-    assert compiled.filter_of(known_to(NOISE, model, HealthLimits())) is None
+    assert compiled.filter_of(filter_config(NOISE, model, HealthLimits())) is None
     compiled.load.cache_clear()
 
 
