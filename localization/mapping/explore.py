@@ -64,8 +64,9 @@ SHORTENED: Final = 0.95
 """Of the range, so far the sector is free."""
 CLEAR_IN: Final = 7.0
 """Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
-MARGIN_IN: Final = 0.8
-"""Least space between body and walls: a gap of 24 in leaves 2.3 in at each side."""
+MARGIN_IN: Final = 1.2
+"""Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
+lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
 COMFORT_IN: Final = 4.0
 """Space of places to look from, and of the last leg."""
 WALL_SHADOW_IN: Final = 5.0
@@ -550,7 +551,9 @@ class Explorer:
         while (cell := int(grid.before[cells[-1]])) >= 0:
             cells.append(cell)
         points = grid.centres(np.stack(np.divmod(np.array(cells[::-1]), width), axis=-1))
-        points = np.concatenate((pose[None, :2], points[1:])) if len(points) > 1 else points
+        # From its own cell straight on; from one that is not passable to the nearest one that is, away from the wall.
+        is_at_first = float(np.abs(points[0] - pose[:2]).max()) <= CELL_IN / 2.0
+        points = np.concatenate((pose[None, :2], points[1:] if is_at_first else points))
         walls = grid.walls
         if len(walls) and len(points) > 2:
             points = pushed(points, walls, self._body_in + CLEAR_IN)

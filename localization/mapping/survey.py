@@ -3,7 +3,7 @@
     refresh --> mapper --> driver --> speed guard --> drive --> wait for the rest of the period, and again
 
 The drivers are `WaypointDriver` here and `Explorer` in explore.py; without one a person drives, and the loop only reads
-states. Nothing is known of a room at first, so the guard trusts readings alone, not the map.
+states. Nothing is known of a room at first, so the guard trusts readings. A wall of a sound map stops the robot, too.
 """
 
 from __future__ import annotations
@@ -65,6 +65,10 @@ GAP_IN_S: Final = 2.0
 PASSED_IN: Final = (2.0, 4.0, 6.0)
 """Through a gap narrower than sonars measure: speed, and how far ahead the map must show space."""
 GAP_SPACE_IN: Final = 1.2
+MAP_MARGIN_IN: Final = 0.8
+"""Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
+AHEAD_IN: Final = tuple(0.5 * step for step in range(1, 19))
+"""Where the map is looked up: as far as the robot drives in REACTION_S at the usual 6 in/s."""
 KNOWN_IN: Final = 8.0
 """The map must show a wall this near to the body: that is what the sonars cannot measure."""
 SHORT_IN: Final = 6.0
@@ -191,7 +195,7 @@ class Driver(Protocol):
     ) -> list[Point] | None:
         """Return the waypoints of the next path from a pose; None if there is nothing left to do.
 
-        `free_in(direction_rad)` is the distance that the sonars show to be free in a direction of the map.
+        `free_in(direction_rad)` is the distance that sonars and map show to be free in a direction of the map.
         """
         ...
 
@@ -310,7 +314,12 @@ class _Motion:
         # 2. The next leg.
         if self._leg is None:
             turned = float(encoders[2] - pose[2])
-            points = self._driver.leg(elapsed_s, pose, mapper, lambda rad: self._guard.free_in(encoders, rad + turned))
+
+            def free_in(direction_rad: float) -> float:
+                measured_in = self._guard.free_in(encoders, direction_rad + turned)
+                return min(measured_in, self._free_of_map_in(pose, direction_rad, mapper))
+
+            points = self._driver.leg(elapsed_s, pose, mapper, free_in)
             if points is None:
                 return "done"
             self._leg, self._blocked_s, self._blind_since = _Leg(pose, points, self._limits), inf, None
@@ -335,6 +344,17 @@ class _Motion:
         """End (2,) of the leg; None without one, and while the guard or a contact keeps the robot from driving it."""
         is_held = self._leg is None or self._back_off is not None or self._blocked_s < inf
         return None if self._leg is None or is_held else self._leg.goal
+
+    def _free_of_map_in(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> float:
+        """Return how far the body may move until a wall of a sound map is too near; inf if none is within 9 in."""
+        if not mapper.is_sound or not len(mapper.walls):
+            return inf
+        places = pose[:2] + np.outer((0.0, *AHEAD_IN), np.array((cos(direction_rad), sin(direction_rad))))
+        spaces = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
+        for moved_in, (before, space) in zip((0.0, *AHEAD_IN), pairwise(spaces), strict=False):
+            if space < min(before, MAP_MARGIN_IN):
+                return moved_in
+        return inf
 
     def _fits(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
         """Return True if the map shows space ahead, and what is too near for the sonars."""
@@ -381,6 +401,8 @@ class _Motion:
             # Whatever the map shows, something is where a ray ended.
             of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
             allowed = min(GAP_IN_S, of_spots_in / REACTION_S)
+        # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
+        allowed = min(allowed, self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S)
         if self._fence is not None:
             # Where it would be after braking.
             ahead = REACTION_S * speed

@@ -427,6 +427,25 @@ def test_a_map_overrules_readings_only_that_it_explains(
     assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap(ahead_in))) is fits
 
 
+@pytest.mark.parametrize("aside_in", [0.0, -3.0, 7.0])
+def test_end_of_a_wall_of_the_map_stops_the_robot(aside_in: float) -> None:
+    motion = _Motion(WaypointDriver([]), SpeedGuard(N150), MODEL_LIMITS["n150"], None)
+    mapper = SoundMap(0.0)
+    mapper.walls = np.array([[16.0, aside_in, 60.0, aside_in]])
+    # The circle of the body and 0.8 in about it meets the end of the wall here, if not before.
+    reach = N150.radius_in + 0.8
+    until = 16.0 - (reach * reach - aside_in * aside_in) ** 0.5
+    found = motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper))
+    assert until - 0.5 <= found <= until
+    # Away from it, and in a map that is not sound yet, it may move; from where it is too near only away.
+    assert motion._free_of_map_in(np.zeros(3), pi, cast("LiveMapper", mapper)) == np.inf
+    near = np.array((16.1 - reach, aside_in, 0.0))
+    assert motion._free_of_map_in(near, 0.0, cast("LiveMapper", mapper)) == 0.0
+    assert motion._free_of_map_in(near, pi, cast("LiveMapper", mapper)) == np.inf
+    mapper.is_sound = False
+    assert motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper)) == np.inf
+
+
 def test_end_of_a_wall_between_two_rays_is_remembered() -> None:
     # A wall that begins at (30, 10.5), seen aslant from farther away, is beside all rays at (20, 0).
     rays, cones = SpeedGuard(N150, rays=True), SpeedGuard(N150)
