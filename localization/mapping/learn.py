@@ -44,7 +44,7 @@ from localization.mapping.association import (
     residual_matrix,
     segments_of,
 )
-from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births
+from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births, find_masked_walls
 from localization.mapping.loops import close_loops
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, PARAMETER_STDS, ROBUST_LIMIT, MapProblem, sensors_at
@@ -174,7 +174,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (join_points, merge, split, swallow, absorb_points, prune):
+    for change in (unmask_walls, join_points, merge, split, swallow, absorb_points, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -376,6 +376,20 @@ def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:
     return float(assign(estimate, echoes)[1].sum())
 
 
+def unmask_walls(estimate: MapEstimate) -> int:
+    """Add walls of which points have taken a part of the echoes, where the total cost falls; return their number."""
+    added = 0
+    # Exact rays make no points.
+    for line, extent in find_masked_walls(estimate) if not estimate.problem.rays else ():
+        # Points on it are its parts, or an end and a corner.
+        trial = min((_with_wall(estimate, line, extent, takes_points=taken) for taken in (True, False)),
+                    key=lambda candidate: candidate.cost)  # fmt: skip
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            added += 1
+    return added
+
+
 def join_points(estimate: MapEstimate) -> int:
     """Add walls between two points where no sound has passed and the total cost falls, and return their number.
 
@@ -430,22 +444,28 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)
         if supports.sum() < MIN_JOIN_ECHOES:
             return False
-    # 3. Points in its middle are part of it.
-    trial = estimate.copy()
-    coordinates = state.points @ forward
-    between = (coordinates > low + POINT_ON_WALL_IN) & (coordinates < high - POINT_ON_WALL_IN)
-    between &= np.abs(state.points @ normal - line[1]) < POINT_ON_WALL_IN
-    for number in reversed(np.flatnonzero(between)):
-        trial.remove(len(state.walls) + int(number))
+    trial = _with_wall(estimate, line, extent)
+    if trial.cost - PENALTY["wall"] + (0.0 if span.is_wall else JOINED_PENALTY) > estimate.cost:
+        return False
+    estimate.replace_by(trial)
+    return True
+
+
+def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, *, takes_points: bool = True) -> MapEstimate:
+    """Return the map with one wall (2,) more, optimized; it may take the place of points in its middle."""
+    trial, state = estimate.copy(), estimate.state
+    if takes_points:
+        c, s = np.cos(line[0]), np.sin(line[0])
+        along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
+        between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
+        for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
+            trial.remove(len(state.walls) + int(number))
     trial.add_wall(line, extent)
     for _ in range(2):
         trial.associate()
         tie_points(trial)
         trial.optimize(3)
-    if trial.cost - PENALTY["wall"] + (0.0 if span.is_wall else JOINED_PENALTY) > estimate.cost:
-        return False
-    estimate.replace_by(trial)
-    return True
+    return trial
 
 
 def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:

@@ -14,8 +14,8 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
-from localization.mapping.births import FreeEchoes, _fit
-from localization.mapping.learn import _merged, learn_map, merge, split
+from localization.mapping.births import MIN_BASE_IN, FreeEchoes, _fit, find_births
+from localization.mapping.learn import _merged, learn_map, merge, prune, split, tie_points, unmask_walls
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
@@ -118,6 +118,35 @@ def test_wall_far_from_the_origin_is_fitted_from_the_cell_of_its_peak() -> None:
         fit = _fit(FreeEchoes(sensors, np.full(30, 0.5), rays=True), start, True)
         np.testing.assert_allclose(fit.feature, (0.0, 60.0), atol=1e-3)
         assert fit.supports.all()
+
+
+def test_wall_is_found_though_points_have_taken_its_echoes(estimate: MapEstimate) -> None:
+    wall = int((estimate.extents[:, 1] - estimate.extents[:, 0]).argmin())
+    angle, offset = estimate.state.walls[wall]
+    low, high = estimate.extents[wall]
+    # 1. Points on the line of the wall that is missing, and the wall's echoes are nearest to them.
+    found = estimate.copy()
+    along = np.array((-np.sin(angle), np.cos(angle)))
+    line = offset * np.array((np.cos(angle), np.sin(angle)))
+    for place in np.arange(low, high, MIN_BASE_IN):
+        found.add_point(line + place * along)
+    found.remove(wall)
+    found.associate()
+    tie_points(found)
+    # Without the echoes of the points, those left show no wall.
+    walls = len(found.state.walls)
+    assert find_births(found.copy(), 0) == 0
+    # 2. Together they do, and the points are of no use then.
+    assert unmask_walls(found) == 1
+    prune(found)
+    assert len(found.state.walls) == walls + 1
+    assert len(found.state.points) <= len(estimate.state.points)
+    turn = np.angle(np.exp(2j * (found.state.walls[walls, 0] - angle))) / 2.0
+    assert abs(turn) < np.radians(1.0)
+    assert abs(float(found.state.walls[walls] @ (0.0, 1.0)) - offset) < 0.5
+    np.testing.assert_allclose(found.extents[walls], (low, high), atol=3.0)
+    # 3. A sound map has none.
+    assert unmask_walls(estimate.copy()) == 0
 
 
 @pytest.mark.long
