@@ -132,8 +132,8 @@ def find_masked_walls(estimate: MapEstimate) -> list[tuple[Floats, Floats]]:
     ties = np.bincount(estimate.assignment.ties[:, 0], minlength=points)[:points]
     masking = walls + np.flatnonzero(ties < 2)
     echoes = estimate.echoes()
-    feature = estimate.assignment.feature[echoes]
-    free = _free_echoes(estimate, echoes[(feature == NO_FEATURE) | np.isin(feature, masking)])
+    assigned = estimate.assignment.feature[echoes]
+    free = _free_echoes(estimate, echoes[(assigned == NO_FEATURE) | np.isin(assigned, masking)])
     left, found = np.ones(len(free), dtype=np.bool_), []
     for _ in range(MAX_CANDIDATES):
         if left.sum() < MIN_VOTES:
