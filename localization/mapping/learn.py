@@ -129,7 +129,7 @@ class MapLearner:
         nodes_per_round: int = NODES_PER_ROUND,
         scale_stds: tuple[float, ...] = (),
     ) -> None:
-        self._noise, self._nodes_per_round = noise, nodes_per_round
+        self._noise, self._sonar, self._nodes_per_round = noise, sonar, nodes_per_round
         self.trajectory = build_trajectory(log, noise, sonar, roughness_in, rays=rays)
         stds = (*scale_stds, *PARAMETER_STDS[len(scale_stds) :])
         problem = MapProblem(self.trajectory, len(log.angles_rad), rays=rays, parameter_stds=stds)
@@ -164,7 +164,7 @@ class MapLearner:
         tie_points(self.estimate)
         # With the weights of its ranges, and without those that the map then explains no more.
         for _ in range(2):
-            weigh_ranges(self.estimate)
+            weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
 

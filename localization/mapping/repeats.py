@@ -1,5 +1,7 @@
-"""How much the ranges of a finished map count: slanted rays, and rounding errors that repeat.
+"""How much the ranges of a finished map count: by what the map expects, not by what was read.
 
+    noise          a fraction of the range: by the reading, one that is too short would count for more than one too long
+    limit          where half of the readings are the lower limit, the others are too long
     slanted rays   r tan(a) a radian of the heading, of a ray r that meets its wall at the angle a off the normal
     rounding       a robot that drives along a wall measures the same whole inches again and again: one error, not many
 
@@ -23,6 +25,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats
+from localization.filters.sonar_ray import RangeNoise
 from localization.mapping.association import MapEstimate
 from localization.mapping.problem import NO_FEATURE
 
@@ -31,6 +34,8 @@ HARMONICS: Final = np.arange(1, 6)
 MAX_DITHER: Final = 0.4
 """Noise in steps from which rounding errors are independent: the first term is 4 % of the variance."""
 MIN_STEP_IN: Final = 1e-6
+LIMIT_STDS: Final = 2.5
+"""Expected ranges this much of the noise above the lower limit have readings on both sides of them."""
 MAX_TANGENT: Final = 5.0
 """Of 79 degrees: rays that are more slanted belong to no wall."""
 
@@ -55,21 +60,25 @@ def rounding_covariance(apart: Floats, variance: Floats) -> Floats:
     return total
 
 
-def weigh_ranges(estimate: MapEstimate) -> None:
-    """Set the standard deviations of the explained ranges by their incidence, and how much they count."""
+def weigh_ranges(estimate: MapEstimate, sonar: RangeNoise) -> None:
+    """Set the standard deviations of the explained ranges, and how much they count, by the map."""
     trajectory, feature = estimate.problem.trajectory, estimate.assignment.feature
     echoes = np.flatnonzero((feature != NO_FEATURE) & (trajectory.node < len(estimate.state.poses)))
     sensors, prediction = estimate.problem.predict(estimate.state, estimate.assignment, echoes)
-    # 1. The heading's part of a ray's variance, which is that of 45 degrees where nothing explains it.
-    squared_tangent = np.ones(len(feature))
+    readings, step = trajectory.readings_in[echoes], trajectory.step_in
+    predicted = prediction.range_in + readings - sensors.range_in
+    # 1. Noise at the range that the map predicts.
+    noise_var = trajectory.noise_var_in2.copy()
+    noise_var[echoes] = sonar.variance(predicted) - sonar.place_var_in2 - sonar.rounding_var_in2
+    # 2. The heading's part of a ray's variance, which is that of 45 degrees where nothing explains it.
+    heading_var = trajectory.heading_var_in2.copy()
     if estimate.problem.rays:
         slant = np.tan(sensors.axis - estimate.state.walls[feature[echoes], 0])
-        squared_tangent[echoes] = np.square(np.clip(slant, -MAX_TANGENT, MAX_TANGENT))
-    variance = trajectory.noise_var_in2 + trajectory.other_var_in2 + trajectory.heading_var_in2 * squared_tangent
-    # 2. Rounding errors, by the readings that the map predicts. Those whose noise is large are independent.
-    weight, step = np.ones(len(feature)), trajectory.step_in
-    predicted = prediction.range_in + trajectory.readings_in[echoes] - sensors.range_in
-    dither = trajectory.noise_var_in2[echoes] / max(step, MIN_STEP_IN) ** 2
+        heading_var[echoes] *= np.square(np.clip(slant, -MAX_TANGENT, MAX_TANGENT) * predicted / readings)
+    variance = noise_var + trajectory.other_var_in2 + heading_var
+    # 3. Rounding errors, by the readings that the map predicts. Those whose noise is large are independent.
+    weight = np.ones(len(feature))
+    dither = noise_var[echoes] / max(step, MIN_STEP_IN) ** 2
     for number in range(estimate.state.features if step else 0):
         rows = np.flatnonzero((feature[echoes] == number) & (dither < MAX_DITHER**2))
         apart = (predicted[rows, None] - predicted[rows]) / step
@@ -77,4 +86,7 @@ def weigh_ranges(estimate: MapEstimate) -> None:
         np.fill_diagonal(covariance, 0.0)
         own = variance[echoes[rows]]
         weight[echoes[rows]] = own / (own + np.maximum(covariance.sum(axis=1), 0.0))
+    # 4. What is expected near the lower limit.
+    lowest_in = sonar.lowest_in + 0.5 * step + LIMIT_STDS * np.sqrt(noise_var[echoes])
+    weight[echoes[predicted < lowest_in]] = 0.0
     estimate.problem = estimate.problem.with_trajectory(replace(trajectory, std_in=np.sqrt(variance), weight=weight))
