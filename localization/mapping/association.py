@@ -56,6 +56,9 @@ MIN_CROSSING_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle may be of one wall."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
+END_IN, END_ASIDE_IN = 8.0, 1.0
+"""A point so near to the end that a wall's echoes show, and to its line, is its end: sound from 30 in away that has its
+foot 8 in beyond comes an inch late."""
 MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_RUN_SPOTS: Final = 3
@@ -177,12 +180,25 @@ class MapEstimate:
         for wall in range(len(extents)):
             feet = np.sort(self.feet_of(wall, np.flatnonzero(feature == wall)))
             if len(feet) > 3:
+                feet = np.clip(feet, *self._end_points(wall, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
                 runs.append(_runs(wall, feet[1:-1]))
             else:
                 extents[wall] = self.extents[wall]
                 runs.append(self.runs[self.runs[:, 0] == wall])
         self.extents, self.runs = extents, np.concatenate(runs)
+
+    def _end_points(self, wall: int, low: float, high: float) -> tuple[float, float]:
+        """Return where points on the line of a wall end it, near the ends that its echoes show.
+
+        A cone that has the foot of the wall's line beyond its end measures the end, by the foot's distance squared over
+        twice the range more, which noise hides. Without this the wall would hide what is measured past its end.
+        """
+        (angle, offset), points = self.state.walls[wall], self.state.points
+        c, s = np.cos(angle), np.sin(angle)
+        along = (points @ (-s, c))[np.abs(points @ (c, s) - offset) < END_ASIDE_IN]
+        first, last = along[(along > low) & (along < low + END_IN)], along[(along < high) & (along > high - END_IN)]
+        return min(first.tolist(), default=low), max(last.tolist(), default=high)
 
     @property
     def blocking(self) -> Floats:

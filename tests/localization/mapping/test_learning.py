@@ -120,6 +120,31 @@ def test_wall_far_from_the_origin_is_fitted_from_the_cell_of_its_peak() -> None:
         assert fit.supports.all()
 
 
+@pytest.mark.parametrize(("before_in", "aside_in", "cut_in"), [
+    ((5.0,), 0.0, 5.0),
+    ((5.0, 2.0), 0.0, 2.0),  # the outermost one
+    ((10.0,), 0.0, 0.0),  # too far from the end: another wall meets this one there
+    ((5.0,), 3.0, 0.0),  # not on the line
+])  # fmt: skip
+def test_wall_ends_at_a_point_near_its_end(
+    estimate: MapEstimate, before_in: tuple[float, ...], aside_in: float, cut_in: float
+) -> None:
+    found = estimate.copy()
+    found.state = replace(found.state, points=np.zeros((0, 2)))
+    found.measure_extents()
+    wall = int((found.extents[:, 1] - found.extents[:, 0]).argmax())
+    low, high = found.extents[wall]
+    angle, offset = found.state.walls[wall]
+    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    for distance in before_in:
+        found.add_point((offset + aside_in) * normal + (high - distance) * along)
+    found.measure_extents()
+    np.testing.assert_allclose(found.extents[wall], (low, high - cut_in), atol=1e-6)
+    # What is measured past its end is not hidden.
+    path = (high - 3.0) * along + offset * normal
+    assert is_blocked((path - 10.0 * normal)[None], (path + 10.0 * normal)[None], found.blocking)[0] == (cut_in == 0.0)
+
+
 def test_wall_is_found_though_points_have_taken_its_echoes(estimate: MapEstimate) -> None:
     wall = int((estimate.extents[:, 1] - estimate.extents[:, 0]).argmin())
     angle, offset = estimate.state.walls[wall]
