@@ -26,8 +26,7 @@ from localization.filters.base import LocalizationConfig, sonar_of
 from localization.filters.belief import HEADING, Belief, Floats, independent
 from localization.filters.calibration import OFFSET, OWN, RING_TURN, CalibratingFilter
 from localization.filters.odometry import OdometryParameter
-from localization.live.assumptions import resolve_body, resolve_robot_model
-from localization.live.localizer import Consistency
+from localization.live.assumptions import Consistency, resolve_body, resolve_robot_model
 from localization.navigation.control_law import StallDetector, VelocityCommand, bearing_error, distance_to
 from localization.navigation.path import TurnProgress, sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap, segment_clearances

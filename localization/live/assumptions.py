@@ -6,6 +6,7 @@ Everything is derived from the address, the setup file it names, and the options
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from math import comb
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -18,8 +19,8 @@ from localization.filters.belief import POSE, Belief
 from localization.filters.global_localization import is_wide
 from localization.filters.range_table import sampled_echoes
 from localization.filters.sonar_ray import ranges_from, wall_map
-from localization.live.localizer import Consistency, Echo
-from localization.live.sensor_input import SensorInput
+from localization.filters.update import Refusal
+from localization.live.sensor_input import Echo, SensorInput
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, WorldFileError, suggest
 from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN
@@ -247,6 +248,61 @@ def sonar_model_of_address(address: str) -> bool | None:
     sonar = values.get("sonar", {})
     model = sonar.get("model") if isinstance(sonar, dict) else None
     return values.get("base") not in RING_SETUPS if model is None else model != RING_MODEL
+
+
+# Consistency of a whole run.
+
+MAX_NIS: Final = 1.5
+MAX_REFUSED: Final = {True: 0.1, False: 0.35}
+"""By whether sonars are exact rays; many readings of a real ring are outliers anyway."""
+
+
+@dataclass
+class Consistency:
+    """NIS and refusals over a run. With a noise model that is too optimistic the NIS is above 1.
+
+    `rays` is True if sonars are taken for exact rays.
+    """
+
+    rays: bool
+    used: int = 0
+    refused: int = 0
+    nis_sum: float = 0.0
+
+    def add(self, echoes: Iterable[Echo]) -> None:
+        """Add the echoes of a period."""
+        for echo in echoes:
+            if echo.refusal is Refusal.NONE:
+                self.used += 1
+                self.nis_sum += echo.nis
+            elif echo.refusal is Refusal.GATE:
+                self.refused += 1
+
+    @property
+    def nis(self) -> float:
+        """Mean NIS of the readings used, 1 for a consistent filter; 0 of none."""
+        return self.nis_sum / self.used if self.used else 0.0
+
+    @property
+    def refused_fraction(self) -> float:
+        """Fraction of ranges that the gate refused; 0 of none."""
+        return self.refused / (self.used + self.refused) if self.refused else 0.0
+
+    @property
+    def is_good(self) -> bool:
+        """True if the estimate can be trusted as far as its covariance says."""
+        return self.nis <= MAX_NIS and self.refused_fraction <= MAX_REFUSED[self.rays]
+
+    def line(self) -> str:
+        """Return the figures in words, with the remedy where they are not good."""
+        text = f"readings fit with a NIS of {self.nis:.2f} (1 is right), {self.refused_fraction:.1%} refused"
+        if self.is_good:
+            return text
+        ring = "a real ring's cones are taken for rays (--sonars cones), " if self.rays else ""
+        return (
+            f"{text}: do not believe this. The encoders miss more than --odometry-noise says, "
+            f"{ring}--start is elsewhere, or the map is not of this room"
+        )
 
 
 def sonar_mismatch_hint(sonars: SonarAssumption, echoes: Iterable[Echo]) -> str:

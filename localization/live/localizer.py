@@ -10,8 +10,6 @@ time from the robot's clock. Each echo counts once; limits are never ranges.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import partial
 from html import escape
 from math import degrees, sqrt
@@ -36,6 +34,7 @@ from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
+    Echo,
     EncoderPose,
     FiringSchedule,
     PoseHistory,
@@ -48,28 +47,6 @@ from worlds.rings import Ring
 
 LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
-
-
-class Echo(NamedTuple):
-    """One reading and its outcome.
-
-    Attributes
-    ----------
-    innovation_in
-        Reading less expected range; 0 where nothing was expected.
-    nis
-        Squared innovation over its variance.
-    outlier_probability
-        0 or 1 where a gate decides.
-    """
-
-    sonar: int
-    instant_s: float
-    reading_in: float
-    refusal: Refusal
-    innovation_in: float
-    nis: float = 0.0
-    outlier_probability: float = 0.0
 
 
 class Smoothed(NamedTuple):
@@ -208,58 +185,3 @@ class Localizer:
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
         return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
-
-
-# Consistency of a whole run.
-
-MAX_NIS: Final = 1.5
-MAX_REFUSED: Final = {True: 0.1, False: 0.35}
-"""By whether sonars are exact rays; many readings of a real ring are outliers anyway."""
-
-
-@dataclass
-class Consistency:
-    """NIS and refusals over a run. With a noise model that is too optimistic the NIS is above 1.
-
-    `rays` is True if sonars are taken for exact rays.
-    """
-
-    rays: bool
-    used: int = 0
-    refused: int = 0
-    nis_sum: float = 0.0
-
-    def add(self, echoes: Iterable[Echo]) -> None:
-        """Add the echoes of a period."""
-        for echo in echoes:
-            if echo.refusal is Refusal.NONE:
-                self.used += 1
-                self.nis_sum += echo.nis
-            elif echo.refusal is Refusal.GATE:
-                self.refused += 1
-
-    @property
-    def nis(self) -> float:
-        """Mean NIS of the readings used, 1 for a consistent filter; 0 of none."""
-        return self.nis_sum / self.used if self.used else 0.0
-
-    @property
-    def refused_fraction(self) -> float:
-        """Fraction of ranges that the gate refused; 0 of none."""
-        return self.refused / (self.used + self.refused) if self.refused else 0.0
-
-    @property
-    def is_good(self) -> bool:
-        """True if the estimate can be trusted as far as its covariance says."""
-        return self.nis <= MAX_NIS and self.refused_fraction <= MAX_REFUSED[self.rays]
-
-    def line(self) -> str:
-        """Return the figures in words, with the remedy where they are not good."""
-        text = f"readings fit with a NIS of {self.nis:.2f} (1 is right), {self.refused_fraction:.1%} refused"
-        if self.is_good:
-            return text
-        ring = "a real ring's cones are taken for rays (--sonars cones), " if self.rays else ""
-        return (
-            f"{text}: do not believe this. The encoders miss more than --odometry-noise says, "
-            f"{ring}--start is elsewhere, or the map is not of this room"
-        )

@@ -15,7 +15,7 @@ The estimate's filter must not use these readings: they belong to no wall of the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, cos, exp, hypot, sin
+from math import atan2, cos, exp, hypot, remainder, sin, tau
 from typing import Final
 
 import numpy as np
@@ -24,7 +24,6 @@ from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
 from localization.live.sensor_input import SensorInput, sonar_readings, with_readings
-from localization.navigation.path import angle_difference
 from nclient.state import RobotState
 from worlds.raycast_arrays import cast_rays
 
@@ -163,7 +162,7 @@ class ObstacleTracker:
         """Reduce the weight of obstacles that a beam of this range passed through."""
         for obstacle in self._obstacles:
             dx, dy = obstacle.x_in - position[0], obstacle.y_in - position[1]
-            off_axis = abs(angle_difference(direction_rad, atan2(dy, dx)))
+            off_axis = abs(remainder(atan2(dy, dx) - direction_rad, tau))
             if not obstacle.from_bumper and off_axis < THROUGH_RAD and hypot(dx, dy) < range_in - THROUGH_IN:
                 obstacle.weight *= THROUGH_FACTOR
         self._remove_weak()
@@ -198,7 +197,7 @@ class ObstacleTracker:
         gain = 1.0 / (obstacle.weight + 1.0)
         obstacle.x_in += gain * (x_in - obstacle.x_in)
         obstacle.y_in += gain * (y_in - obstacle.y_in)
-        obstacle.direction_rad += gain * angle_difference(obstacle.direction_rad, direction_rad)
+        obstacle.direction_rad += gain * remainder(direction_rad - obstacle.direction_rad, tau)
         obstacle.weight = min(MAX_WEIGHT, obstacle.weight + 1.0)
         obstacle.is_confirmed = obstacle.is_confirmed or obstacle.weight >= CONFIRM_WEIGHT
 

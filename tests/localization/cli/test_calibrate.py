@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.live.localizer import Consistency
+from localization.live.assumptions import Consistency
 from nclient.cli import main
 from worlds.robots import Calibration, format_calibration, load_calibration
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from localization.filters.update import Refusal
-from localization.live.localizer import Consistency, Echo
+from localization.live.assumptions import Consistency
+from localization.live.sensor_input import Echo
 
 
 def echo(refusal: Refusal, nis: float = 0.0) -> Echo:
