@@ -31,9 +31,8 @@ from localization.mapping.explore import Explorer
 from localization.mapping.learn import ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, drive_of_rows, read_drive
-from localization.mapping.output import LearnedMap, describe, draw_learned, summary
+from localization.mapping.output import LearnedMap, MapPublisher, describe, draw_learned, summary
 from localization.mapping.problem import COMMON_OFFSET, PARAMETER_STDS
-from localization.mapping.publish import MapPublisher
 from localization.mapping.survey import Driver, Geofence, RobotMoved, SurveyLog, SurveyStep, WaypointDriver, survey
 from localization.navigation.control_law import MODEL_LIMITS
 from localization.plot import check_picture

@@ -43,12 +43,11 @@ from localization.mapping.association import (
     assign,
     residual_matrix,
     segments_of,
+    weigh_ranges,
 )
-from localization.mapping.births import MIN_BASE_IN, MIN_DIFFERENCE, find_births, find_masked_walls
-from localization.mapping.loops import close_loops
+from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births, find_masked_walls
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, PARAMETER_STDS, ROBUST_LIMIT, MapProblem, sensors_at
-from localization.mapping.repeats import weigh_ranges
 from localization.mapping.walls import (
     MAX_SPAN_IN,
     MIN_CORNER_RAD,

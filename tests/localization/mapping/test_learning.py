@@ -14,7 +14,7 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
-from localization.mapping.births import MIN_BASE_IN, FreeEchoes, _fit, find_births
+from localization.mapping.features import MIN_BASE_IN, FreeEchoes, _fit, find_births
 from localization.mapping.learn import _merged, learn_map, merge, prune, split, tie_points, unmask_walls
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe

@@ -14,7 +14,7 @@ import pytest
 from localization.live.run import GroundTruth, Publisher
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper
-from localization.mapping.publish import MapPublisher, is_uncertain
+from localization.mapping.output import MapPublisher, is_uncertain
 from localization.mapping.survey import SurveyStep
 from localization.mapping.walls import MAX_STD_IN, extract_walls
 from nclient.state import RobotState
