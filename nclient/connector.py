@@ -41,7 +41,8 @@ from nclient.recording.format import Recording, parse_recording, read_recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
-from nclient.transports import serial, tcp
+from nclient.transports import serial
+from nclient.transports import stream as streams
 from nclient.transports.stream import ByteStream, MemoryStream, open_in_process
 from nclient.url import SCHEMES, Address, available_schemes, parse_address, split_address
 
@@ -177,13 +178,13 @@ class Connector:
     def open_transport(self) -> ByteStream:
         """Open the transport alone."""
         address = self.address
-        connect_timeout_s = max(self.timeout_s or 0.0, tcp.CONNECT_TIMEOUT_S)
+        connect_timeout_s = max(self.timeout_s or 0.0, streams.CONNECT_TIMEOUT_S)
         match address.scheme:
             # Over sockets and serial ports.
             case "nserver":
-                return tcp.TcpStream(address.host, address.port, connect_timeout_s)
+                return streams.TcpStream(address.host, address.port, connect_timeout_s)
             case "robotd":
-                return tcp.TcpStream(address.host, address.port, connect_timeout_s, served_by=tcp.ROBOT_LINE)
+                return streams.TcpStream(address.host, address.port, connect_timeout_s, served_by=streams.ROBOT_LINE)
             case "serial" | "serial+rfc2217" | "serial+socket":
                 return serial.open_port(address.path, address.options.baud or serial.DEFAULT_BAUD)
             # In this process.
@@ -475,19 +476,19 @@ def is_listening(name: str, port: int) -> bool:
     return True
 
 
-def _open_tcp(name: str, port: int, timeout_s: float | None) -> tcp.TcpStream:
+def _open_tcp(name: str, port: int, timeout_s: float | None) -> streams.TcpStream:
     """Connect to a host, or where none is named to the first name of this machine that answers."""
     # "host:port", but not an IPv6 address without brackets.
     host, colon, digits = name.rpartition(":")
     if colon and digits.isdecimal() and (":" not in host or host.endswith("]")):
         name, port = host.strip("[]"), int(digits)
-    connect_timeout_s = max(timeout_s or 0.0, tcp.CONNECT_TIMEOUT_S)
+    connect_timeout_s = max(timeout_s or 0.0, streams.CONNECT_TIMEOUT_S)
     # The last failure is the one that is raised.
-    *others, last = (name,) if name else tcp.names_of_this_machine()
+    *others, last = (name,) if name else streams.names_of_this_machine()
     for host in others:
         with contextlib.suppress(ConnectionLost):
-            return tcp.TcpStream(host, port, connect_timeout_s)
-    return tcp.TcpStream(last, port, connect_timeout_s)
+            return streams.TcpStream(host, port, connect_timeout_s)
+    return streams.TcpStream(last, port, connect_timeout_s)
 
 
 def _address_of(name: str) -> str | None:

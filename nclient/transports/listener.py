@@ -32,8 +32,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports.stream import ByteStream, Deadline
-from nclient.transports.tcp import TcpStream
+from nclient.transports.stream import ByteStream, Deadline, TcpStream
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 LOOPBACK: Final = "127.0.0.1"

@@ -17,7 +17,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
 from nclient.transports.serial import open_port
-from nclient.transports.tcp import TcpStream
+from nclient.transports.stream import TcpStream
 from nserver_emu import cli
 from tests.programs.forked import Forked
 

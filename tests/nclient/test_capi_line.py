@@ -43,7 +43,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         return MemoryStream(peers.pop(0))
 
     monkeypatch.setattr("nclient.transports.serial.SerialStream", opens)
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", opens)
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", opens)
     return calls
 
 

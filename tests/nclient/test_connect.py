@@ -36,7 +36,7 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         servers.append(ScriptedServer())
         return MemoryStream(servers[-1])
 
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", dial)
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     return calls
 
@@ -215,8 +215,8 @@ def test_an_empty_machine_name_is_this_machine(monkeypatch: pytest.MonkeyPatch) 
         return MemoryStream(ScriptedServer())
 
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
-    monkeypatch.setattr("nclient.transports.tcp.names_of_this_machine", lambda: ("localhost", "own_name"))
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.stream.names_of_this_machine", lambda: ("localhost", "own_name"))
     assert open_machine("", 7019, ConnectOptions()).port == 7019
     assert is_listening("", 7019)
     assert tried == ["localhost", "own_name"] * 2

@@ -42,7 +42,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench()
     monkeypatch.setattr("nclient.transports.serial.SerialStream", made.open)
     monkeypatch.setattr("nclient.transports.serial.PortableSerialStream", made.open)
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", made.open)
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", made.open)
     yield made
     for robot in made.robots:
         robot.disconnect()
@@ -233,7 +233,7 @@ def test_a_long_wait_outlasts_the_motion_timeout() -> None:
 def test_a_fast_simulation_has_no_keep_alive_by_default(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     server.slots = {0: 9999}
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", lambda *_: MemoryStream(server))
     bench.connect("nserver://lab/1")
     assert server.names() == []
     bench.connect("nserver://lab/1?tm_s=9&feed=0")
@@ -257,7 +257,7 @@ def test_tcp_is_counted_only_with_reconnect(bench: Bench, monkeypatch: pytest.Mo
         streams.append(MemoryStream(ScriptedServer()))
         return streams[-1]
 
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", dial)
     assert bench.connect("nserver://lab/1?tm_s=0").link is None
     robot = bench.connect("nserver://lab/1?reconnect=0.01&feed=0")
     streams[-1].close()

@@ -14,8 +14,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import EVERYTHING, N150, SCOUT, Position
-from nclient.transports.stream import Deadline, MemoryStream
-from nclient.transports.tcp import TcpStream
+from nclient.transports.stream import Deadline, MemoryStream, TcpStream
 from tests.nclient.scripted_server import ScriptedServer, by_script, error, on_socket, simple
 
 GS = Call("gs")

@@ -39,7 +39,7 @@ line = "serial"
 def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
     """Peer at the other end of a memory stream."""
     server = ScriptedServer()
-    monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
+    monkeypatch.setattr("nclient.transports.stream.TcpStream", lambda *_: MemoryStream(server))
     return server
 
 
@@ -87,7 +87,7 @@ def test_on_an_n150_s_own_line_the_first_bytes_are_no_greeting(
     path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'hello'")
     for model, greeted in (("n150", False), ("n200", True)):
         sent = build_frame(21, bytes(8))
-        monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
+        monkeypatch.setattr("nclient.transports.stream.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
         connector = Connector(parse_address(f"robotd://lab?model={model}&faults={path}"))
         stream = connector.open_stream()
         data = stream.receive(Deadline.after(0))

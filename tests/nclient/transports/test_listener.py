@@ -16,8 +16,7 @@ import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.listener import MAX_PENDING, QUEUE_FULL, PtyListener, TcpListener
-from nclient.transports.stream import Deadline
-from nclient.transports.tcp import TcpStream
+from nclient.transports.stream import Deadline, TcpStream
 
 Dial = Callable[..., socket.socket]
 

@@ -10,8 +10,7 @@ import pytest
 
 from nclient import connect
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports.stream import Deadline
-from nclient.transports.tcp import ROBOT_LINE, TcpStream, names_of_this_machine
+from nclient.transports.stream import ROBOT_LINE, Deadline, TcpStream, names_of_this_machine
 from tests.nclient.scripted_server import on_socket
 
 
