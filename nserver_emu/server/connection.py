@@ -6,7 +6,7 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
 3. `nclient/protocol/codec.py`      `TcpFramer`, `decode_tcp_request`: frames and calls, shared with the client
 4. `server_state.py`                `ServerState.answer`: time in lockstep, emergency stop, then the command's handler
-5. `handlers/motion.py`             (or `sensors`, `world`, `server`, `graphics`): the command itself
+5. `handlers/robot.py`              (or `world`, `graphics`, `table`): the command itself
 6. `nserver_emu/simulation/robot.py`    the simulated robot
 
 The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,

@@ -1,6 +1,6 @@
 """The handlers of all commands, and the emulator that has them.
 
-    modules    motion.py | sensors.py | world.py (obstacles, poses) | graphics.py (window, speech, arm) | this one
+    modules    robot.py (motions, sensors) | world.py (obstacles, poses) | graphics.py (window, speech, arm) | this one
 
 A handler is a function(server, context, args) with the name of its command; it returns a Reply, a DeferredReply, or
 None for the state. To add a command: a row in `nclient/protocol/commands.py`, and its function. A command without a
@@ -19,7 +19,7 @@ from typing import Final
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.replies import Reply
 from nserver_emu.server.config import StartPoseAllocator
-from nserver_emu.server.handlers import graphics, motion, sensors, world
+from nserver_emu.server.handlers import graphics, robot, world
 from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR, Handler, ServerState
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED, ConnectionContext, done, error_reply
 from nserver_emu.simulation.simulation import Simulation
@@ -115,7 +115,7 @@ def sim_control(server: ServerState, _context: ConnectionContext, args: tuple[in
 
 HANDLERS: dict[str, Handler] = {
     name: handler
-    for functions in (*map(vars, (motion, sensors, world, graphics)), globals())
+    for functions in (*map(vars, (robot, world, graphics)), globals())
     for name, handler in functions.items()
     if name in BY_NAME
 } | graphics.REFRESHERS
