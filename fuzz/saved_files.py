@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader, input_file
-from localization.live import saved_estimate
+from localization.live import estimate
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
 from nclient.protocol.codec import encode_serial_request, encode_tcp_request
 from nclient.protocol.commands import Call
@@ -141,7 +141,7 @@ def _snapshot_seeds() -> list[bytes]:
 
 def _estimate_seeds() -> list[bytes]:
     values = {
-        "format": saved_estimate.FORMAT, "world": "thesis_room", "walls": "x", "body": "n150", "clock_s": 3.5,
+        "format": estimate.FORMAT, "world": "thesis_room", "walls": "x", "body": "n150", "clock_s": 3.5,
         "encoders": [1.0, 2.0, 0.5], "turret_rad": 0.1, "mean": [1.0, 2.0, 0.5],
         "cov": [[1.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 0.1]],
     }  # fmt: skip
@@ -157,6 +157,6 @@ READERS = (
     Reader("replays", "recordings, replayed with --replay", _replay, (NomadError,), _server_seeds, _TREE,
            max_size=16384),
     Reader("snapshots", "saved simulations", _snapshot, (SnapshotError,), _snapshot_seeds, _TREE, max_size=32768),
-    Reader("saved_estimates", "saved estimates (--resume)", lambda data: saved_estimate.load(input_file(data, ".json")),
+    Reader("saved_estimates", "saved estimates (--resume)", lambda data: estimate.load(input_file(data, ".json")),
            (EstimateFileError,), _estimate_seeds, _TREE),
 )  # fmt: skip

@@ -27,9 +27,15 @@ from localization.live.assumptions import (
     resolve_body,
     resolve_sonar_model,
 )
-from localization.live.localizer import Estimate
+from localization.live.estimate import (
+    DisplacementStd,
+    Estimate,
+    SavedEstimate,
+    encoder_std,
+    map_signature,
+    resume_belief,
+)
 from localization.live.run import Run
-from localization.live.saved_estimate import DisplacementStd, SavedEstimate, encoder_std, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose, restart_ring, with_wheels
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds

@@ -15,8 +15,8 @@ from localization.cli import arguments
 from localization.cli.arguments import parse_numbers
 from localization.live.assumptions import SonarAssumption, resolve_body, resolve_robot_model, sonar_mismatch_hint
 from localization.live.background_search import filter_on_robot
+from localization.live.estimate import Echo
 from localization.live.run import GroundTruth, Publisher
-from localization.live.sensor_input import Echo
 from localization.navigation.mission import Mission, Report, run_mission
 from localization.navigation.mission_steps import load_mission
 from localization.navigation.pilot import (

@@ -20,7 +20,8 @@ from localization.filters.global_localization import is_wide
 from localization.filters.range_table import sampled_echoes
 from localization.filters.sonar_ray import ranges_from, wall_map
 from localization.filters.update import Refusal
-from localization.live.sensor_input import Echo, SensorInput
+from localization.live.estimate import Echo
+from localization.live.sensor_input import SensorInput
 from nclient.connector import address_or_default
 from nclient.errors import AddressError, WorldFileError, suggest
 from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN

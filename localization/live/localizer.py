@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from html import escape
-from math import degrees, sqrt
-from typing import Final, NamedTuple
+from math import sqrt
+from typing import Final
 
 import numpy as np
 
@@ -22,19 +21,17 @@ from localization.filters.base import (
     EncoderRow,
     Filter,
     LocalizationConfig,
-    Place,
     Searching,
     Smoothing,
     StateFilter,
     advance_each,
 )
-from localization.filters.belief import POSE, Belief, Floats
-from localization.filters.health import HEALTHY, FilterHealth
+from localization.filters.belief import Belief
 from localization.filters.registry import DEFAULT_METHOD, make
-from localization.filters.update import REFUSALS, Refusal
+from localization.filters.update import REFUSALS
+from localization.live.estimate import Echo, Estimate, Smoothed
 from localization.live.sensor_input import (
     CLOCK_STEP_S,
-    Echo,
     EncoderPose,
     FiringSchedule,
     PoseHistory,
@@ -45,49 +42,10 @@ from localization.live.sensor_input import (
 from nclient.common.process import show_seconds
 from worlds.rings import Ring
 
+__all__ = ["LAG_STD_S", "Estimate", "Localizer", "Smoothed"]
+
 LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
-
-
-class Smoothed(NamedTuple):
-    """The belief at `clock_s`, some time ago, by all readings until now."""
-
-    clock_s: float
-    belief: Belief
-
-
-class Estimate(NamedTuple):
-    """The belief at `clock_s` of the robot's clock, and the echoes since the last one.
-
-    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be. Where
-    these look alike, `informative_turn_rad` is the turn to the direction in which driving distinguishes them soonest.
-    """
-
-    clock_s: float
-    belief: Belief
-    echoes: tuple[Echo, ...]
-    health: FilterHealth = HEALTHY
-    smoothed: Smoothed | None = None
-    places: tuple[Place, ...] = ()
-    informative_turn_rad: float | None = None
-
-    def _repr_html_(self) -> str:
-        (x, y, heading), std = self.pose.tolist(), self.belief.std[:POSE].tolist()
-        used = sum(echo.refusal is Refusal.NONE for echo in self.echoes)
-        rows = {
-            "pose": f"x {x:.2f} ± {std[0]:.2f} in, y {y:.2f} ± {std[1]:.2f} in, "
-            f"heading {degrees(heading):.2f} ± {degrees(std[2]):.2f}°",
-            "health": escape(f"{self.health.status.value} {self.health.reason}".strip()),
-            "echoes": f"{len(self.echoes)} since the last estimate, {used} used",
-            "clock": f"{self.clock_s:.2f} s",
-        }
-        cells = (f"<tr><th style='text-align:left'>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
-        return f"<table>{''.join(cells)}</table>"
-
-    @property
-    def pose(self) -> Floats:
-        """x_in, y_in and the heading of the steering in radians, (3,)."""
-        return self.belief.mean[:POSE]
 
 
 class Localizer:

@@ -33,8 +33,8 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import relative_step
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
-from localization.live.localizer import Estimate
-from localization.live.sensor_input import MAX_GAP_S, Echo, LogRow, Pose, new_echoes
+from localization.live.estimate import Echo, Estimate
+from localization.live.sensor_input import MAX_GAP_S, LogRow, Pose, new_echoes
 from nclient.errors import AddressError, ConnectionLost
 from nclient.robot import Robot
 from nclient.state import RobotState

@@ -31,7 +31,6 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
-from localization.filters.update import Refusal
 from nclient.errors import AddressError, LogFileError, RecordingError, RobotRefused, suggest
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
 from nclient.recording import convert
@@ -173,28 +172,6 @@ class FiringTime(NamedTuple):
 
     sonar: int
     instant_s: float
-
-
-class Echo(NamedTuple):
-    """One reading and its outcome.
-
-    Attributes
-    ----------
-    innovation_in
-        Reading less expected range; 0 where nothing was expected.
-    nis
-        Squared innovation over its variance.
-    outlier_probability
-        0 or 1 where a gate decides.
-    """
-
-    sonar: int
-    instant_s: float
-    reading_in: float
-    refusal: Refusal
-    innovation_in: float
-    nis: float = 0.0
-    outlier_probability: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

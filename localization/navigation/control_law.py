@@ -44,7 +44,7 @@ from localization.filters.belief import (
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import move, step_between
 from localization.filters.update import OUTLIER_THRESHOLD, Refusal
-from localization.live.localizer import Estimate
+from localization.live.estimate import Estimate
 from localization.live.sensor_input import MAX_GAP_S, SensorInput, sonar_readings
 from nclient.state import RobotState
 from worlds.geometry import nearest_points

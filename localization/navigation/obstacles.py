@@ -22,7 +22,7 @@ import numpy as np
 
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
-from localization.live.localizer import Estimate
+from localization.live.estimate import Estimate
 from localization.live.sensor_input import SensorInput, sonar_readings, with_readings
 from nclient.state import RobotState
 from worlds.raycast_arrays import cast_rays

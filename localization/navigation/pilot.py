@@ -39,7 +39,7 @@ from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
 from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
-from localization.live.localizer import Estimate
+from localization.live.estimate import Estimate
 from localization.live.run import GroundTruth, Publisher, build_message
 from localization.live.sensor_input import SensorInput
 from localization.navigation.control_law import (

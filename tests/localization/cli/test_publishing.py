@@ -18,9 +18,8 @@ from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth, HealthStatus
 from localization.filters.odometry import with_parameters
 from localization.filters.update import Refusal
-from localization.live.localizer import Estimate
+from localization.live.estimate import Echo, Estimate
 from localization.live.run import MAX_HYPOTHESES, RETRY_S, Publisher, RunMoment, build_message, parse_answer
-from localization.live.sensor_input import Echo
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator
 from nclient.errors import AddressError, ConnectionLost
 from tests.localization.viewer_stub import page_that

@@ -13,8 +13,8 @@ import pytest
 from localization.cli import arguments as options
 from localization.filters.belief import independent
 from localization.filters.health import FilterHealth, HealthStatus
-from localization.live import saved_estimate
-from localization.live.localizer import Estimate
+from localization.live import estimate
+from localization.live.estimate import Estimate
 from localization.live.run import Run, RunMoment
 from nclient import Robot, connect
 from nclient.cli import main
@@ -64,13 +64,13 @@ def localize(lasting: Lasting, capsys: pytest.CaptureFixture[str]) -> Localize:
 def test_resumed_run_starts_from_saved_belief(localize: Localize, lasting: Lasting, tmp_path: Path) -> None:
     file = str(tmp_path / "here.json")
     assert localize("--waypoints", "20,30", "--save", file)[0] == 0
-    saved = saved_estimate.load(Path(file))
+    saved = estimate.load(Path(file))
     assert saved.belief.std[:2].max() < 0.5
     code, out = localize("--waypoints", "35,55", "--resume", file, "--save", file)
     assert code == 0
     result = json.loads(out)
     assert result["end_error_in"] < 1.0
-    after = saved_estimate.load(Path(file))
+    after = estimate.load(Path(file))
     truth = lasting.robot.truth()
     error = after.belief.mean[:3] - [truth.x_in, truth.y_in, truth.steering_rad]
     assert np.hypot(*error[:2]) < 1.0
@@ -117,7 +117,7 @@ def test_reset_encoders_need_displacement_std(
     )
     assert code == 0
     assert json.loads(out)["end_error_in"] < 1.0
-    assert len(saved_estimate.load(Path(file)).belief.mean) == 5
+    assert len(estimate.load(Path(file)).belief.mean) == 5
 
 
 @pytest.mark.long

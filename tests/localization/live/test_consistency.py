@@ -6,7 +6,7 @@ import pytest
 
 from localization.filters.update import Refusal
 from localization.live.assumptions import Consistency
-from localization.live.sensor_input import Echo
+from localization.live.estimate import Echo
 
 
 def echo(refusal: Refusal, nis: float = 0.0) -> Echo:

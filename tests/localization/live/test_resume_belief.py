@@ -9,7 +9,7 @@ import pytest
 
 from localization.filters.belief import difference, independent
 from localization.filters.odometry import OdometryNoise, move, step_between, step_variance
-from localization.live.saved_estimate import SavedEstimate, encoder_std, map_signature, resume_belief
+from localization.live.estimate import SavedEstimate, encoder_std, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from worlds.io import load_world

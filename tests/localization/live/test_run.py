@@ -9,9 +9,8 @@ import pytest
 
 from localization.filters.belief import independent
 from localization.filters.update import Refusal
-from localization.live.localizer import Estimate
+from localization.live.estimate import Echo, Estimate
 from localization.live.run import Run, RunMoment, TruthSample
-from localization.live.sensor_input import Echo
 
 ECHOES = (
     Echo(0, 0.1, 40, Refusal.NONE, 0.2),

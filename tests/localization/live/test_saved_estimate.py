@@ -11,7 +11,7 @@ import pytest
 
 from localization.filters.belief import Belief, independent
 from localization.filters.odometry import MAX_STATE
-from localization.live.saved_estimate import MAX_BYTES, MapSignature, SavedEstimate, load, save
+from localization.live.estimate import MAX_BYTES, MapSignature, SavedEstimate, load, save
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 

@@ -24,7 +24,7 @@ from localization.cli.arguments import (
     parse_scale_std,
     parse_seconds,
 )
-from localization.live import saved_estimate
+from localization.live import estimate
 from localization.navigation.mission import Mission, Report, Step, StepFailed, run_mission
 from localization.navigation.waypoints import stop_on_exit
 from nclient.cli.main import main
@@ -120,7 +120,7 @@ def test_go_resumes_saved_estimate_with_calibration(
     report = json.loads(capsys.readouterr().out)
     assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
     # Three elements of the pose, three of odometry.
-    assert len(saved_estimate.load(saved).belief.mean) == 6
+    assert len(estimate.load(saved).belief.mean) == 6
     # --start contradicts --resume.
     assert main([*words, "--to", "40,10", "--resume", str(saved), "--start", "0,0,0"]) == 1
     assert "--start and --resume" in capsys.readouterr().err

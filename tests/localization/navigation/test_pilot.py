@@ -11,7 +11,7 @@ import pytest
 
 from localization.filters.belief import Belief
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
-from localization.live.localizer import Estimate
+from localization.live.estimate import Estimate
 from localization.navigation.control_law import MODEL_LIMITS, STAND
 from localization.navigation.obstacles import ObstacleTracker
 from localization.navigation.path import wall_distances

@@ -11,8 +11,7 @@ import pytest
 from localization.filters.belief import independent
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.filters.update import Refusal
-from localization.live.localizer import Estimate
-from localization.live.sensor_input import Echo
+from localization.live.estimate import Echo, Estimate
 from localization.navigation.obstacles import MAX_FILTERED, ObstacleTracker, filter_unmapped, update_obstacles
 from nclient import connect
 from nclient.robot import Robot

@@ -1,4 +1,4 @@
-"""The saved estimate of a run, and its validity when another run continues from it (--save, --resume).
+"""Estimates, and the one that a run saves: its validity when another run continues from it (--save, --resume).
 
     encoders unchanged                       the robot stood: the belief is unchanged
     encoders moved by a possible drive       the robot was driven on an unknown path: belief moved and widened
@@ -16,15 +16,19 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from hashlib import sha256
-from math import cos, hypot, pi, sin
+from html import escape
+from math import cos, degrees, hypot, pi, sin
 from pathlib import Path
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 
+from localization.filters.base import Place
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference
+from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import MAX_STATE, OdometryNoise
+from localization.filters.update import Refusal
 from localization.live.sensor_input import EncoderPose
 from nclient.common.files import read_text, write_atomic
 from nclient.common.validation import InvalidValue, convert, decode_json, reported_as
@@ -51,6 +55,69 @@ _REMEDY: Final = (
 
 DisplacementStd = tuple[float, float, float]
 """Standard deviations in inches, inches, radians."""
+
+
+class Echo(NamedTuple):
+    """One reading and its outcome.
+
+    Attributes
+    ----------
+    innovation_in
+        Reading less expected range; 0 where nothing was expected.
+    nis
+        Squared innovation over its variance.
+    outlier_probability
+        0 or 1 where a gate decides.
+    """
+
+    sonar: int
+    instant_s: float
+    reading_in: float
+    refusal: Refusal
+    innovation_in: float
+    nis: float = 0.0
+    outlier_probability: float = 0.0
+
+
+class Smoothed(NamedTuple):
+    """The belief at `clock_s`, some time ago, by all readings until now."""
+
+    clock_s: float
+    belief: Belief
+
+
+class Estimate(NamedTuple):
+    """The belief at `clock_s` of the robot's clock, and the echoes since the last one.
+
+    `smoothed` is of filters that smooth, `places` of filters that search: all poses at which the robot may be. Where
+    these look alike, `informative_turn_rad` is the turn to the direction in which driving distinguishes them soonest.
+    """
+
+    clock_s: float
+    belief: Belief
+    echoes: tuple[Echo, ...]
+    health: FilterHealth = HEALTHY
+    smoothed: Smoothed | None = None
+    places: tuple[Place, ...] = ()
+    informative_turn_rad: float | None = None
+
+    def _repr_html_(self) -> str:
+        (x, y, heading), std = self.pose.tolist(), self.belief.std[:POSE].tolist()
+        used = sum(echo.refusal is Refusal.NONE for echo in self.echoes)
+        rows = {
+            "pose": f"x {x:.2f} ± {std[0]:.2f} in, y {y:.2f} ± {std[1]:.2f} in, "
+            f"heading {degrees(heading):.2f} ± {degrees(std[2]):.2f}°",
+            "health": escape(f"{self.health.status.value} {self.health.reason}".strip()),
+            "echoes": f"{len(self.echoes)} since the last estimate, {used} used",
+            "clock": f"{self.clock_s:.2f} s",
+        }
+        cells = (f"<tr><th style='text-align:left'>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
+        return f"<table>{''.join(cells)}</table>"
+
+    @property
+    def pose(self) -> Floats:
+        """x_in, y_in and the heading of the steering in radians, (3,)."""
+        return self.belief.mean[:POSE]
 
 
 class MapSignature(NamedTuple):
