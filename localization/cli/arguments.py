@@ -18,7 +18,7 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
-from localization.live import saved_estimate
+from localization.live import estimate as saved_estimate
 from localization.live.assumptions import (
     BUILDING_SETUP,
     SIMULATION,
