@@ -464,6 +464,9 @@ def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, *, takes_poi
         trial.associate()
         tie_points(trial)
         trial.optimize(3)
+    # What it hides counts against it, by the extent that its echoes show at the end.
+    trial.associate()
+    tie_points(trial)
     return trial
 
 
