@@ -14,20 +14,18 @@ from localization.filters.sonar_ray import WIRE_SONAR, RayModel
 from nclient.errors import VariableError
 from nserver_emu.server import inprocess  # noqa: F401 - found by entry point otherwise
 from nserver_emu.simulation.acoustics import FIRST_ECHO
-from worlds.compiled import CALLS_BEFORE_LOADING, is_compiled_for, mark_path
 from worlds.robots import N150
 
 
 def load_compiled_code() -> None:
-    """Load compiled code of filter and sonars that is on disk; compile that of sonars only where that is asked for."""
+    """Load compiled code of filter and sonars that is on disk; compile that of sonars where it is asked for or seen."""
     # Compiled code takes any map: a single wall here.
     walls = [(0.0, 100.0, 100.0, 100.0)]
     for model in (RayModel(walls, N150, WIRE_SONAR), ConeModel(walls, N150, ConeSonar())):
-        if mark_path(model.update.__name__, compiled.source_checksum()).exists():
+        if compiled.is_on_disk(model.update):
             compiled.filter_of(filter_config(THESIS_ODOMETRY, model, HealthLimits()))
-    if is_compiled_for(1):
-        FIRST_ECHO.prepare(is_used=True)
-    FIRST_ECHO.count_calls(CALLS_BEFORE_LOADING)
+    # A sixth of a trial with measured sonars; most experiments have those.
+    FIRST_ECHO.prepare(is_used=True)
 
 
 # Where SciPy is installed, numba loads all of its linear algebra, which no compiled formula calls. Workers that need

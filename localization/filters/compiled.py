@@ -298,6 +298,11 @@ def _mark(correct: Callable[..., Outcome]) -> Path:
     return mark_path(correct.__name__, source_checksum())
 
 
+def is_on_disk(correct: Callable[..., Outcome]) -> bool:
+    """Return True if the loop with this update need not be compiled. Raises PackageNotFoundError without numba."""
+    return _mark(correct).exists()
+
+
 def is_wanted(correct: Callable[..., Outcome]) -> bool:
     """Return True if compiled code is to be used: see `worlds.compiled.is_wanted`."""
     return compiled.is_wanted(correct.__name__, source_checksum())
@@ -351,13 +356,12 @@ class CompiledFilter:
     def __init__(self, config: FilterConfig) -> None:
         correct = config.model.update
         self._run, self._numbers = _compile(correct), pack_config(config)
-        mark = _mark(correct)
-        if mark.exists():
+        if is_on_disk(correct):
             self._warm_up()
             return
         _log.warning("compiling the filter with numba; the result is cached function=%s", correct.__name__)
         self._warm_up()
-        write_mark(mark)
+        write_mark(_mark(correct))
 
     def _warm_up(self) -> None:
         """Compile now, not in the first update."""
