@@ -20,18 +20,21 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
+from importlib.metadata import PackageNotFoundError
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from threading import Thread
 from types import TracebackType
 from typing import Final, Self
 from zipfile import BadZipFile
 
 import numpy as np
 
+from localization.filters import compiled
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
 from localization.filters.global_localization import is_wide
-from localization.filters.pose_search import PendingSearch, SearchRequest, SearchResult, TableSearch
+from localization.filters.pose_search import EchoReplay, PendingSearch, SearchRequest, SearchResult, TableSearch
 from localization.filters.range_table import (
     RangeTable,
     build_range_table,
@@ -239,6 +242,7 @@ def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]
     sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
     if len(np.asarray(config.walls)) >= COMPILED_WALLS:
         os.environ.setdefault(VARIABLE, "always")
+        _compile_apart(config)
 
     def progress(fraction: float) -> None:
         done.value = min(fraction, 0.999)
@@ -246,6 +250,30 @@ def _prepare(config: LocalizationConfig, folder: Path, done: Synchronized[float]
     _WORKER.search = cached_search(config, folder, progress)
     assert _WORKER.search.table
     done.value = 1.0
+
+
+def _compile_apart(config: LocalizationConfig) -> None:
+    """Compile the formulas, unless they are on disk, in a process that ends: numba returns none of its 250 MB."""
+    direct = update_for(config.walls, config.body, config.sonar, config.gate).direct
+    # Without numba there is nothing to compile.
+    with suppress(PackageNotFoundError):
+        if direct and compiled.is_wanted(direct.update) and not compiled.is_on_disk(direct.update):
+            compiler = multiprocessing.get_context("spawn").Process(target=_compile, args=(config,))
+            compiler.start()
+            compiler.join()
+
+
+def _compile(config: LocalizationConfig) -> None:
+    """Compile the formulas; end with the process that waits for this one."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    EchoReplay(update_for(config.walls, config.body, config.sonar, config.gate), config.odometry).load()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _search(request: SearchRequest) -> SearchResult:

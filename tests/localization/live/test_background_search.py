@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 from collections.abc import Sequence
 from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from localization.experiments.live_trial import QUIET
+from localization.filters import compiled
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.global_localization import MAX_BEHIND, GlobalLocalizer
@@ -27,6 +31,7 @@ from localization.filters.range_table import DIRECTIONS, build_range_table
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder, table_search, update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import RaySonar, ranges_from, wall_map
+from localization.live import background_search
 from localization.live.background_search import (
     MAX_CACHED,
     BackgroundSearch,
@@ -269,6 +274,56 @@ def test_worker_has_no_scipy_which_numba_would_load(tmp_path: Path) -> None:
         assert poses._pool is not None
         assert poses._pool.submit(can_import, "numpy.linalg").result()
         assert not poses._pool.submit(can_import, "scipy.linalg").result()
+
+
+@pytest.mark.parametrize(("on_disk", "expected"), [(True, []), (False, ["start", "join"])])
+def test_only_code_not_on_disk_is_compiled_apart(
+    on_disk: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+
+    class Compiler:
+        def __init__(self, target: object, args: tuple[LocalizationConfig]) -> None:
+            assert (target, args) == (background_search._compile, (CONFIG,))
+
+        def start(self) -> None:
+            calls.append("start")
+
+        def join(self) -> None:
+            calls.append("join")
+
+    monkeypatch.setattr(compiled, "is_wanted", lambda _: True)
+    monkeypatch.setattr(compiled, "is_on_disk", lambda _: on_disk)
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: SimpleNamespace(Process=Compiler))
+    background_search._compile_apart(CONFIG)
+    assert calls == expected
+
+
+def wait_beside_parent(_: Connection) -> None:
+    background_search._end_with_parent()
+
+
+def start_and_wait(writer: Connection) -> None:
+    process = multiprocessing.get_context("spawn").Process(target=wait_beside_parent, args=(writer,))
+    process.start()
+    writer.send(None)
+    process.join()
+
+
+@pytest.mark.long
+def test_a_compiling_process_ends_with_its_worker() -> None:
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    worker = context.Process(target=start_and_wait, args=(writer,))
+    worker.start()
+    writer.close()
+    reader.recv()
+    worker.kill()
+    worker.join()
+    # The pipe ends once the last process that could write to it has ended.
+    assert reader.poll(30.0)
+    with pytest.raises(EOFError):
+        reader.recv()
 
 
 def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
