@@ -6,6 +6,7 @@ Long runs with the filter `finder`, which detects when it is lost: random drivin
     kidnapped       the same, then it is moved elsewhere without its encoders: time until LOST and until recovery
     unknown start   no initial pose: time until recovery
     wrong door      the initial pose is one that looks like the true one, with a standard deviation that covers both
+    uncertain start the same, but the initial pose is drawn: the true one as often as that deviation says
 
 While localized the robot drives shortest paths with the control law of the thesis; while lost it turns and drives
 where there is free space. Recovery means localized without LOST for CERTAIN_S. The truth never reaches the filter.
@@ -133,9 +134,12 @@ class Kind(Enum):
     KIDNAPPED = "kidnapped"
     UNKNOWN_START = "nowhere"
     WRONG_DOOR = "door"
+    UNCERTAIN_START = "uncertain"
 
 
-STARTS: Final = (Kind.UNKNOWN_START, Kind.WRONG_DOOR)
+GIVEN: Final = (Kind.WRONG_DOOR, Kind.UNCERTAIN_START)
+"""Kinds whose runs begin with a pose that looks like others."""
+STARTS: Final = (Kind.UNKNOWN_START, *GIVEN)
 """Kinds whose runs begin without an estimate."""
 MAX_DRAWS: Final = 50
 """Starts that are drawn until one looks like another place."""
@@ -213,7 +217,7 @@ def drive(case: Case) -> LostResult:
         # What `nomad map check` says of this start; a wrong door needs another place that looks like it.
         aliases = AliasFinder(world.walls, N150.radius_in, [(start.x_in, start.y_in) for start in world.starts])
         alike = aliases.aliases(_pose(pose))
-        for _ in range(MAX_DRAWS if case.kind is Kind.WRONG_DOOR and not alike else 0):
+        for _ in range(MAX_DRAWS if case.kind in GIVEN and not alike else 0):
             pose = _drawn(positions, rng)
             if alike := aliases.aliases(_pose(pose)):
                 break
@@ -238,8 +242,11 @@ class _Run:
         # 2. Initial estimate, drawn from START_STD; none for an unknown start.
         rng = np.random.default_rng([case.seed, START])
         initial = None
-        if case.kind is Kind.WRONG_DOOR:
-            initial = with_parameters(_covering(_pose(pose), alike), case.scenario.constants)
+        if case.kind in GIVEN:
+            given = _covering(_pose(pose), alike)
+            if case.kind is Kind.UNCERTAIN_START:
+                given = _drawn_start(_pose(pose), alike, given.cov, rng)
+            initial = with_parameters(given, case.scenario.constants)
         elif case.kind is not Kind.UNKNOWN_START:
             guess = _pose(pose) + np.array(START_STD) * rng.standard_normal(3)
             initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
@@ -274,7 +281,7 @@ class _Run:
                 self._until(float(self._rng.uniform(*KIDNAPPED_S)))
                 self._kidnap()
                 return self._find(*self._until_lost())
-            case Kind.UNKNOWN_START | Kind.WRONG_DOOR:
+            case Kind.UNKNOWN_START | Kind.WRONG_DOOR | Kind.UNCERTAIN_START:
                 return self._find(None, 0.0)
 
     def _until(self, end_s: float) -> None:
@@ -411,6 +418,18 @@ def _covering(pose: Floats, alike: Sequence[Floats]) -> Belief:
     dx, dy, turn = np.abs(difference(other, pose)).tolist()
     std_in = max(dx, dy)
     return independent(other, (std_in, std_in, max(turn, 0.1)))
+
+
+def _drawn_start(pose: Floats, alike: Sequence[Floats], cov: Floats, rng: np.random.Generator) -> Belief:
+    """Return a belief of a covariance at a pose or one that looks like it, drawn so that the belief is calibrated.
+
+    Each is drawn in proportion to the density of the belief at the true pose. Where all are as probable before,
+    the true pose has its posterior probability given the one that was drawn: Bayes' theorem.
+    """
+    starts = [pose, *alike]
+    offsets = np.array([difference(start, pose)[:POSE] for start in starts])
+    weights = np.exp(-0.5 * np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(cov), offsets))
+    return Belief(starts[rng.choice(len(starts), p=weights / weights.sum())], cov)
 
 
 def _is_right(estimate: Floats, truth: Floats) -> bool:
@@ -692,7 +711,13 @@ def _times(spread: tuple[float, float] | None) -> str:
 
 WORLD: Final = "several_walls"
 # False alarms are rare, so tracking needs the most runs; 300 of 10 min are 50 simulated hours.
-RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100, Kind.WRONG_DOOR: 20}
+RUNS: Final = {
+    Kind.TRACKING: 300,
+    Kind.KIDNAPPED: 100,
+    Kind.UNKNOWN_START: 100,
+    Kind.WRONG_DOOR: 20,
+    Kind.UNCERTAIN_START: 20,
+}
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -742,17 +767,17 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m localization.experiments lost",
         description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
-        "moved elsewhere (kidnapped); robots with an unknown start (nowhere), or a start that looks like the "
-        "true one (door). Results are cached.",
+        "moved elsewhere (kidnapped); robots with an unknown start (nowhere), a start that looks like the true one "
+        "(door), or one of the two (uncertain). Results are cached.",
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
     parser.add_argument(
         "kinds",
         nargs="*",
         type=_kind,
-        default=[kind for kind in Kind if kind is not Kind.WRONG_DOOR],
+        default=[kind for kind in Kind if kind not in GIVEN],
         metavar="KIND",
-        help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door)",
+        help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",
     )
     parser.add_argument(
         "--world",

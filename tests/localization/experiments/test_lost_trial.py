@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from localization.experiments import lost
 from localization.experiments.live_trial import SCENARIOS
@@ -67,3 +69,17 @@ def test_undetected_kidnapping_has_no_detection_time(monkeypatch: pytest.MonkeyP
     outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED))
     assert outcome.lost_after_s is None
     assert outcome.found_after_s is None
+
+
+def test_uncertain_starts_are_as_probable_as_their_belief_says() -> None:
+    """Oracle: Bayes' theorem, with SciPy's normal density, for five equal doors of which any may be the true one."""
+    doors = [np.array([156.0 * number, 0.0, 0.0]) for number in range(5)]
+    cov = np.diag([156.0, 156.0, 0.1]) ** 2
+    rng = np.random.default_rng(0)
+    counts = np.zeros(5)
+    for _ in range(4000):
+        start = lost._drawn_start(doors[2], doors[:2] + doors[3:], cov, rng)
+        np.testing.assert_array_equal(start.cov, cov)
+        counts[round(start.mean[0] / 156.0)] += 1.0
+    density = multivariate_normal(doors[2], cov).pdf(doors)
+    np.testing.assert_allclose(counts / 4000.0, density / density.sum(), atol=0.03)
