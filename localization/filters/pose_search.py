@@ -52,6 +52,9 @@ MAX_PEAK_NATS: Final = 40.0
 """A peak this much less likely than the best is no candidate."""
 PEAK_STD, PEAK_HEADING_STD_RAD = 0.6, 0.06
 """Standard deviations of a peak before it is refined: of a cell, in cells and radians."""
+PEAK_TURNS_RAD: Final = (0.0, -0.08, 0.08)
+"""A peak is refined from its own heading and beside it: over much of a cone the likelihood is flat, and a filter that
+begins off the right heading stays there. Peaks at equal places, each off by chance, would not be equally probable."""
 COARSE_RECORDS: Final = 72
 """Records that decide the peaks: the last ring and a half, and an even choice of the older ones."""
 LAST_RECORDS: Final = 24
@@ -209,7 +212,7 @@ def search(
         return []
     # 1. The last records decide among all peaks.
     last = records[-REFINED_RECORDS:]
-    refined = [_replayed(belief, last, replay) for belief in _peaks(records, table, prior)]
+    refined = [_refined(belief, last, replay) for belief in _peaks(records, table, prior)]
     refined.sort(key=lambda pair: -pair[1])
     best = [with_parameters(belief, parameter_stds) for belief, _ in refined[:MAX_REFINED]]
     # 2. The whole history, and what was known before it, decide among the best of them.
@@ -275,6 +278,12 @@ def _replayed(last: Belief, records: Sequence[EchoRecord], replay: EchoReplay) -
     across_in = ODOMETRY_STD * distance_in + 0.5 * drift_rad * distance_in
     cov[range(POSE), range(POSE)] += np.square((across_in, across_in, drift_rad))
     return replay.run(Belief(start.mean, cov), records[0].encoders, records)
+
+
+def _refined(peak: Belief, records: Sequence[EchoRecord], replay: EchoReplay) -> tuple[Belief, float]:
+    """Return `_replayed` from the heading of PEAK_TURNS_RAD that explains the records best."""
+    starts = [Belief(add(peak.mean, np.array((0.0, 0.0, turn_rad))), peak.cov) for turn_rad in PEAK_TURNS_RAD]
+    return max((_replayed(start, records, replay) for start in starts), key=lambda pair: pair[1])
 
 
 def _travelled(records: Sequence[EchoRecord]) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from localization.filters.pose_search import (
     SearchRequest,
     _information,
     _maxima,
+    _refined,
     advanced,
     informative_turn,
     moved,
@@ -126,6 +127,22 @@ def test_hypotheses_are_weighed_by_a_share_of_the_evidence() -> None:
         odds = found[0].probability / found[1].probability
         assert math.log(odds) == pytest.approx(EVIDENCE_SHARE * abs(nats[0] - nats[1]), rel=1e-6)
     assert np.hypot(*(found[0].belief.mean[:2] - (40.0, 30.0))) < 1.0
+
+
+class NarrowReplay(EchoReplay):
+    """Replay in which a heading of 0.3 explains the echoes best, and none is corrected."""
+
+    def run(self, belief: Belief, *_: object) -> tuple[Belief, float]:
+        return belief, -1000.0 * (belief.mean.item(2) - 0.3) ** 2
+
+
+def test_peaks_are_refined_from_the_best_of_three_headings() -> None:
+    replay = NarrowReplay(update_for(ROOM, N150, RAYS), QUIET)
+    records = ring_at(ROOM, (40.0, 30.0, 0.3), rounds=1)
+    for heading, best in ((0.25, 0.33), (0.31, 0.31), (0.4, 0.32)):
+        found, nats = _refined(independent((40.0, 30.0, heading), (0.5, 0.5, 0.06)), records, replay)
+        np.testing.assert_allclose(found.mean, (40.0, 30.0, best))
+        assert nats == pytest.approx(-1000.0 * (best - 0.3) ** 2)
 
 
 @pytest.mark.long

@@ -77,7 +77,8 @@ def test_an_asymmetric_room_gives_one_pose(setup: str, distance_in: float) -> No
 @pytest.mark.parametrize("setup", KINDS)
 def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
     records, truth = records_at("thesis_room", setup, (20.0, 35.0, 10.0))
-    found = found_at("thesis_room", setup, records)
+    # Besides, the same places with headings that explain the echoes a thousand times worse.
+    found = [each for each in found_at("thesis_room", setup, records) if each.probability > 0.001]
     assert len(found) == 4
     # The centre of the square room; the other places are rotations by quarter turns about it.
     centre = np.array([45.085, 45.085])
@@ -87,7 +88,7 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
         turned.append(centre + np.array([[cos, -sin], [sin, cos]]) @ (truth[:2] - centre))
     for place in turned:
         assert min(np.hypot(*(hypothesis.belief.mean[:2] - place)) for hypothesis in found) < 3.0
-    assert sum(hypothesis.probability for hypothesis in found) == pytest.approx(1.0)
+    assert sum(hypothesis.probability for hypothesis in found) == pytest.approx(1.0, abs=0.002)
     # No place is clearly better than the others.
     assert max(hypothesis.probability for hypothesis in found) < 0.8
 
