@@ -108,7 +108,7 @@ def test_lost_handshake_is_not_waited_for(
     address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = ScriptedLine(model=N200)
-    for name in ("serial.SerialStream", "tcp.TcpStream"):
+    for name in ("serial.SerialStream", "stream.TcpStream"):
         monkeypatch.setattr(f"nclient.transports.{name}", lambda *_, **__: MemoryStream(robot))
     assert main.main(["stop", address, "--patience", "0.2"]) == 0
     assert robot.names()[:2] == ["st", "ct"]
