@@ -103,6 +103,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         "--omnidirectional", action="store_true",
         help="with --from a log: the robot moves sideways as well, as drones do (default: along its heading only)",
     )
+    add_value(parser, "--sonar-delay", "S", arguments.parse_seconds,
+              "with --from a log: the readings in a row are older than its pose by this", 0.0)
     add_value(parser, "--scale-std", "A[,B[,C]]", arguments.parse_scales,
               "with --from: standard deviations of the odometry's systematic errors, which the map estimates: distance "
               f"scale, turn scale, drift in rad/in (default: {','.join(map(str, PARAMETER_STDS[:COMMON_OFFSET]))})", ())
@@ -205,9 +207,10 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
     LogFileError, RecordingError, WorldFileError
     """
     if options.recording is None or convert.is_recording(recordings[0]):
-        if options.body or options.model_file or options.omnidirectional:
+        if options.body or options.model_file or options.omnidirectional or options.sonar_delay:
             options.refuse(
-                "--body, --model-file and --omnidirectional describe the robot of a log: a recording names its own"
+                "--body, --model-file, --omnidirectional and --sonar-delay describe the robot of a log: a recording "
+                "names its own"
             )
         log = read_drive(*recordings)
         return Source(log, BODIES[log.model], SONARS[options.sonars or "cones"](BODIES[log.model].ring))
@@ -215,7 +218,7 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
         options.refuse("--from several files: parts of a drive are recordings; of logs, give one")
     body = arguments.resolve_log_body(options)
     rows = without_echo(read_log(recordings[0]), body.ring)
-    log = drive_of_rows(rows, body, is_omnidirectional=options.omnidirectional)
+    log = drive_of_rows(rows, body, is_omnidirectional=options.omnidirectional, delay_s=options.sonar_delay)
     return Source(log, body, SONARS[options.sonars or "cones"](body.ring))
 
 

@@ -18,12 +18,20 @@ Loops: features that were measured again and not recognized (`close_loops`):
 One pair may agree by chance, many together hardly do. The joint compatibility is tested after the optimization: before,
 echoes that were taken for those of old features make the map more certain than it is, and wrong by 16 in.
 
+Exact rays have no points. There the walls of the last 30 s alone, a local map, are laid onto the old ones:
+
+    1. local map    the walls that the echoes of the last 30 s show without the map
+    2. hypotheses   motions that bring one of them onto an old wall, or two that are not parallel onto two
+    3. rating       the echoes of the last 30 s, moved, by the old walls alone
+    4. trial, test  as above, with the poses of the last 30 s moved
+
 References
 ----------
 Tardos, Neira, Newman, Leonard, Robust Mapping and Localization in Indoor Environments Using Sonar Data (2002): the
 Hough transform of sonar arcs for lines and points. Duda, Hart, Use of the Hough Transformation (1972). Neira, Tardos,
 Data Association in Stochastic Mapping Using the Joint Compatibility Test (2001). Fischler, Bolles, Random Sample
-Consensus (1981): hypotheses by few pairs, here by all.
+Consensus (1981): hypotheses by few pairs, here by all. Bosse, Newman, Leonard, Teller, Simultaneous Localization and Map
+Building in Large-Scale Cyclic Environments Using the Atlas Framework (2004): local maps that are matched to one another.
 """
 
 from __future__ import annotations
@@ -35,11 +43,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import MAX_OFF_AXIS_RAD, MapEstimate, Mask, is_blocked, segments_of
+from localization.mapping.association import MAX_OFF_AXIS_RAD, MapEstimate, Mask, assign, is_blocked, segments_of
 from localization.mapping.consistency import check_parts
 from localization.mapping.measurements import Indices, rotate
 from localization.mapping.problem import (
     NO_FEATURE,
+    Assignment,
     RangePrediction,
     Sensors,
     predict_point,
@@ -320,6 +329,22 @@ NEAR_IN, NEAR_RAD = 4.0, radians(4.0)
 MAX_TRIALS: Final = 3
 JOIN_STEPS: Final = 8
 
+LOCAL_NODES: Final = 60
+"""Nodes of a local map, 30 s: longer than between two corners, shorter than the odometry needs to bend it."""
+MIN_LOCAL_ECHOES: Final = 12
+"""Echoes of a wall of a local map, and of an old one."""
+MIN_CROSSING_RAD: Final = radians(30.0)
+"""Two walls that meet at a smaller angle give no position."""
+RATED_MOTIONS: Final = 40
+"""Motions that are rated by echoes, those first that bring the most echoes' walls onto old ones."""
+RATED_ECHOES: Final = 240
+MIN_RATED_GAIN: Final = 0.15
+"""Least part of the cost of the rated echoes by the old walls that a motion must save to be tried."""
+LOCAL_ROUNDS: Final = 3
+"""Rounds of births in a local map: each takes the highest peaks alone."""
+DISTINCT_IN, DISTINCT_RAD = 6.0, radians(2.0)
+"""Of motions that differ by less only the best one is tried."""
+
 
 class _Motion(NamedTuple):
     """A rigid motion, and the pairs (k, 2) of an old and a new feature that it brings together."""
@@ -332,6 +357,8 @@ class _Motion(NamedTuple):
 
 def close_loops(estimate: MapEstimate, first_node: int = 0) -> int:
     """Join new features, measured only since a node, with old ones where the total cost falls; return their number."""
+    if estimate.problem.rays:
+        return _recognize_walls(estimate)
     pairs, begins = _pairs(estimate, first_node)
     for motion in _motions(estimate, pairs)[:MAX_TRIALS]:
         trial = _joined(estimate, motion, begins)
@@ -467,4 +494,150 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
         trial.optimize(4)
         trial.associate()
     trial.optimize(4)
+    return trial
+
+
+# Exact rays: a local map.
+
+
+def _recognize_walls(estimate: MapEstimate) -> int:
+    """Move the last poses to where their walls are old ones if the total cost falls; return the number of walls."""
+    start = len(estimate.state.poses) - LOCAL_NODES
+    is_old = _measured_before(estimate, start - MIN_LEFT_NODES)
+    if not is_old.any():
+        return 0
+    # 1. The local map, and the map of before.
+    local = _without(estimate, np.zeros(len(is_old), dtype=np.bool_))
+    for _ in range(LOCAL_ROUNDS):
+        find_births(local, start)
+        local.associate(start)
+    old = _without(estimate, is_old)
+    # 2. Motions, rated by a part of the echoes, evenly spread.
+    echoes = estimate.echoes(start)
+    echoes = echoes[:: max(len(echoes) // RATED_ECHOES, 1)]
+    sensors = sensors_at(estimate.state.poses, estimate.state.parameters, estimate.problem.trajectory, echoes)
+    rated = [
+        (float(assign(old, echoes, _moved(sensors, *motion))[1].sum()), motion)
+        for motion in _wall_motions(local, old)
+    ]  # fmt: skip
+    # 3. They must explain more of them than where the odometry has led.
+    now = (1.0 - MIN_RATED_GAIN) * float(assign(old, echoes, sensors)[1].sum())
+    tried: list[tuple[float, Floats]] = []
+    centre = estimate.state.poses[start:, :2].mean(axis=0)
+    for cost, (turn, shift) in sorted(rated, key=lambda pair: pair[0]):
+        if cost > now or len(tried) == MAX_TRIALS:
+            break
+        place = rotate(centre, np.array(turn)) + shift
+        if any(abs(turn - other) < DISTINCT_RAD and np.hypot(*(place - at)) < DISTINCT_IN for other, at in tried):
+            continue
+        tried.append((turn, place))
+        trial = _relocated(estimate, start, turn, shift)
+        if trial.cost < estimate.cost - MIN_DIFFERENCE and _are_loops_sound(trial):
+            estimate.replace_by(trial)
+            return len(local.state.walls)
+    return 0
+
+
+def _measured_before(estimate: MapEstimate, node: int) -> Mask:
+    """Return True (w,) for walls with enough echoes before a node."""
+    feature = estimate.assignment.feature[estimate.problem.trajectory.node < node]
+    feature = feature[feature != NO_FEATURE]
+    return np.asarray(
+        np.bincount(feature, minlength=estimate.state.features)[: len(estimate.state.walls)] >= MIN_LOCAL_ECHOES,
+        dtype=np.bool_,
+    )
+
+
+def _without(estimate: MapEstimate, remaining: Mask) -> MapEstimate:
+    """Return the map with some of its walls (w,) alone, and no point."""
+    found = estimate.copy()
+    numbers = np.where(remaining, np.cumsum(remaining) - 1, NO_FEATURE)
+    feature = estimate.assignment.feature
+    is_wall = (feature != NO_FEATURE) & (feature < len(remaining))
+    feature = np.where(is_wall, np.append(numbers, NO_FEATURE)[np.where(is_wall, feature, -1)], NO_FEATURE)
+    state = estimate.state
+    found.state = replace(state, walls=state.walls[remaining], points=state.points[:0])
+    found.assignment = Assignment(feature)
+    found.extents = estimate.extents[remaining]
+    rows = estimate.runs[:, 0].astype(np.intp)
+    runs = estimate.runs[remaining[rows]]
+    found.runs = np.column_stack((numbers[rows[remaining[rows]]], runs[:, 1:]))
+    return found
+
+
+def _moved(sensors: Sensors, turn: float, shift: Floats) -> Sensors:
+    """Return sonars after a rigid motion."""
+    turned = np.full(len(sensors.face), turn)
+    return Sensors(
+        rotate(sensors.face, turned) + shift, rotate(sensors.arm, turned), sensors.axis + turn, sensors.range_in
+    )
+
+
+def _wall_motions(local: MapEstimate, old: MapEstimate) -> list[tuple[float, Floats]]:
+    """Return the motions (turn, shift) that bring the most of a local map's walls onto old ones, at most so many.
+
+    A pair of walls gives the turn, and the shift across them; two pairs that are not parallel give the whole shift.
+    """
+    echoes = np.bincount(
+        local.assignment.feature[local.assignment.feature != NO_FEATURE], minlength=len(local.state.walls)
+    )
+    middles = segments_of(local.state.walls, local.extents).reshape(-1, 2, 2).mean(axis=1)
+    centre = local.state.poses[-LOCAL_NODES:, :2].mean(axis=0)
+    # 1. Pairs of about the same direction, of a normal either way.
+    turns = wrap_angle(2.0 * (old.state.walls[:, 0] - local.state.walls[:, None, 0])) / 2.0
+    ones, others = np.nonzero((np.abs(turns) < MAX_DRIFT_RAD) & (echoes[:, None] >= MIN_LOCAL_ECHOES))
+    turn, angle, offset = turns[ones, others], old.state.walls[others, 0], old.state.walls[others, 1]
+    normal = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    # 2. About the centre of the last poses, so that the shift is that of the robot: d of n . d, to be on the line.
+    arm = rotate(middles[ones] - centre, turn) + centre
+    across = offset - (normal * arm).sum(axis=1)
+    motions = [(turn, across[:, None] * normal)]
+    i, j = np.nonzero(np.triu(np.abs(np.sin(angle[:, None] - angle)) > np.sin(MIN_CROSSING_RAD), 1))
+    agree = (ones[i] != ones[j]) & (np.abs(turn[i] - turn[j]) < NEAR_RAD)
+    i, j = i[agree], j[agree]
+    both = np.stack((normal[i], normal[j]), axis=1)
+    mean = 0.5 * (turn[i] + turn[j])
+    off = np.stack([
+        offset[k] - (normal[k] * (rotate(middles[ones[k]] - centre, mean) + centre)).sum(axis=1) for k in (i, j)
+    ], axis=-1)  # fmt: skip
+    motions.append((mean, np.linalg.solve(both, off[..., None])[..., 0]))
+    turn, shift = np.concatenate([one for one, _ in motions]), np.concatenate([one for _, one in motions])
+    near = np.hypot(*shift.T) < MAX_DRIFT_IN
+    turn, shift = turn[near], shift[near]
+    # 3. Those first whose walls with the most echoes lie on old ones.
+    weight = np.zeros(len(turn))
+    low, high = old.extents.T
+    for number in np.flatnonzero(echoes >= MIN_LOCAL_ECHOES):
+        place = rotate(middles[number] - centre, turn) + centre + shift
+        c, s = np.cos(old.state.walls[:, 0]), np.sin(old.state.walls[:, 0])
+        off_line = np.abs(place[:, :1] * c + place[:, 1:] * s - old.state.walls[:, 1])
+        along = place[:, 1:] * c - place[:, :1] * s
+        turned = np.abs(np.sin(local.state.walls[number, 0] + turn[:, None] - old.state.walls[:, 0]))
+        fits = (off_line < NEAR_IN) & (turned < np.sin(NEAR_RAD))
+        fits &= (along > low - MIN_BASE_IN) & (along < high + MIN_BASE_IN)
+        weight += echoes[number] * fits.any(axis=1)
+    best = np.argsort(-weight, kind="stable")[:RATED_MOTIONS]
+    back = rotate(np.broadcast_to(centre, (len(turn), 2)), turn)
+    return [(float(turn[row]), centre + shift[row] - back[row]) for row in best]
+
+
+def _relocated(estimate: MapEstimate, start: int, turn: float, shift: Floats) -> MapEstimate:
+    """Return the map with the poses from a node on moved, and without the walls of their own, optimized."""
+    remaining = _measured_before(estimate, start)
+    trial = _without(estimate, remaining)
+    poses = trial.state.poses.copy()
+    count = len(poses) - start
+    poses[start:, :2] = rotate(poses[start:, :2], np.full(count, turn)) + shift
+    poses[start:, HEADING] += turn
+    trial.state = replace(trial.state, poses=poses)
+    # By plain least squares the odometry of the whole loop takes up the motion.
+    trial.associate(start)
+    trial.optimize(JOIN_STEPS, robust=False)
+    for _ in range(2):
+        trial.optimize(4)
+        trial.associate(start)
+    find_births(trial, start)
+    trial.associate()
+    trial.optimize(4)
+    trial.associate()
     return trial

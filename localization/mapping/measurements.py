@@ -296,10 +296,13 @@ def read_drive(*paths: Path) -> DriveLog:
     return log
 
 
-def drive_of_rows(rows: Sequence[LogRow], body: Body, *, is_omnidirectional: bool = False) -> DriveLog:
+def drive_of_rows(
+    rows: Sequence[LogRow], body: Body, *, is_omnidirectional: bool = False, delay_s: float = 0.0
+) -> DriveLog:
     """Return the drive of a log that has the last reading of each sonar, and not when it fired.
 
-    A reading is taken at the instant of the row in which it is new (`new_echoes`); see DriveLog for the last argument.
+    A reading is taken `delay_s` before the instant of the row in which it is new (`new_echoes`); see DriveLog for
+    `is_omnidirectional`.
 
     Raises
     ------
@@ -312,8 +315,9 @@ def drive_of_rows(rows: Sequence[LogRow], body: Body, *, is_omnidirectional: boo
     clocks = [row.clock_s for row in rows]
     new = new_echoes([row.sonars_in for row in rows], clocks, ring.round_s)
     firings = [
-        (clock_s, sonar, row.sonars_in[sonar])
+        (clock_s - delay_s, sonar, row.sonars_in[sonar])
         for clock_s, row, sonars in zip(clocks, rows, new, strict=True) for sonar in sonars
+        if clock_s - delay_s >= clocks[0]
     ]  # fmt: skip
     if len(firings) < READINGS_PER_NODE:
         raise LogFileError(f"the log has {len(firings)} new readings, a map needs hundreds")

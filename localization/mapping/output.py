@@ -378,7 +378,7 @@ def calibration_of(estimate: MapEstimate) -> Calibration:
 
 
 def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
-    """Draw walls, points, echoes and path as PNG.
+    """Draw walls, those that are not written dashed, points, echoes and path as PNG.
 
     Raises
     ------
@@ -386,7 +386,7 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
         If the file cannot be written.
     """
     from localization.plot import save
-    from worlds.drawing import ESTIMATE, FAINT, GOAL, ODOMETRY, blank, draw_walls
+    from worlds.drawing import ESTIMATE, FAINT, GOAL, ODOMETRY, TRUTH, blank, draw_walls
 
     # 1. Echoes along their axes, in the frame of the map.
     state, trajectory = estimate.state, estimate.problem.trajectory
@@ -406,10 +406,12 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
     # 2. The map and the path.
     axes.plot(*found.path[:, :2].T, color=ODOMETRY, linewidth=1.0, label="path")
     draw_walls(axes, [wall.ends.reshape(4) for wall in found.walls])
+    for wall in found.uncertain:
+        axes.plot(*wall.ends.T, color=TRUTH, linewidth=1.5, linestyle="--")
     axes.plot(*found.points.T, marker="s", markersize=4, color=GOAL, linestyle="", label="points")
     if found.open_ends:
         axes.plot(*np.array(found.open_ends).T, marker="x", color=ESTIMATE, linestyle="", label="open ends")
-    ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2)
+    ends = np.array([wall.ends for wall in (*found.walls, *found.uncertain)]).reshape(-1, 2)
     low, high = (
         np.concatenate((ends, found.path[:, :2])).min(0) - MARGIN_IN,
         np.concatenate((ends, found.path[:, :2])).max(0) + MARGIN_IN,

@@ -93,6 +93,15 @@ def test_a_node_has_the_readings_of_half_a_second() -> None:
     assert drive_of_rows([row._replace(clock_s=10.0 * row.clock_s) for row in rows], four).readings_per_node == 8
 
 
+def test_readings_are_taken_before_their_row() -> None:
+    four = Body("four", 3.0, Ring(1.0, (0.0, 1.0, 2.0, 3.0), ((0, 1, 2, 3),), 0.1, 1.0, 200.0, 0.1, 255.0), ())
+    rows = [LogRow(0.1 * k, (2.0 * k, 0.0, 0.0), 0.0, (10.0 + k,) * 4) for k in range(40)]
+    late = drive_of_rows(rows, four, delay_s=0.25)
+    # The robot does 20 in/s; readings from before the first row have no pose.
+    assert late.instants_s[0] == pytest.approx(0.05)
+    np.testing.assert_allclose(late.poses_at(late.instants_s)[:, 0], 2.0 * (late.readings_in - 10.0) - 5.0)
+
+
 def test_a_log_with_fewer_sonars_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "log.csv"
     log.write_text("time_s,x_in,y_in,heading_deg,sonar_0_in\n0,0,0,0,10\n1,0,0,0,11\n")

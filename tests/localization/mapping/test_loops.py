@@ -102,7 +102,7 @@ def with_unrecognized_lap(estimate: MapEstimate) -> MapEstimate:
     is_second = (feature >= 0) & (trajectory.node >= middle)
     numbers = np.where(feature < walls, feature, feature + walls)  # points come after both sets of walls
     moved = np.where(feature < walls, walls, len(state.points))
-    found.problem = MapProblem(replace(trajectory, steps=steps), 16)
+    found.problem = MapProblem(replace(trajectory, steps=steps), 16, rays=estimate.problem.rays)
     found.state = replace(
         state, poses=poses, walls=np.concatenate((state.walls, np.stack((angles, offsets), axis=-1))),
         points=np.concatenate((state.points, points)),
@@ -143,3 +143,51 @@ def test_two_places_that_odometry_tells_apart_stay_two(two_laps: MapEstimate) ->
     trajectory = stray.problem.trajectory
     stray.problem = MapProblem(replace(trajectory, step_info=100.0 * trajectory.step_info), 16)
     assert close_loops(stray) == 0
+
+
+SINCE_RETURN = 60
+"""Nodes of the second lap that are known, 30 s: a local map."""
+
+
+@pytest.fixture(scope="module")
+def two_laps_of_rays() -> MapEstimate:
+    log = drive(4, points=LAP + LAP[1:], rays=True)
+    return learn_map(log, OdometryNoise(0.8, 0.1, 0.02), ConeSonar(), rays=True)
+
+
+def beginning_of_second_lap(estimate: MapEstimate) -> MapEstimate:
+    """Return the map soon after the robot came back, when only the last nodes are not recognized."""
+    stray = with_unrecognized_lap(estimate)
+    count = len(estimate.state.poses) // 2 + SINCE_RETURN
+    inside = stray.problem.trajectory.node < count
+    stray.state = replace(stray.state, poses=stray.state.poses[:count])
+    stray.assignment = replace(stray.assignment, feature=np.where(inside, stray.assignment.feature, -1))
+    return stray
+
+
+def test_walls_alone_join_a_lap_of_exact_rays(two_laps_of_rays: MapEstimate) -> None:
+    stray = beginning_of_second_lap(two_laps_of_rays)
+    count = len(stray.state.poses)
+    assert len(stray.state.points) == 0
+    assert np.hypot(*(stray.state.poses - two_laps_of_rays.state.poses[:count])[-SINCE_RETURN, :2]) > 8.0
+    before = stray.cost
+    assert close_loops(stray) >= 2
+    assert stray.cost < before - 50.0
+    off = np.hypot(*(stray.state.poses - two_laps_of_rays.state.poses[:count])[:, :2].T)
+    assert max(off[: count - SINCE_RETURN - 30].max(), off[-30:].max()) < 0.6
+
+
+def test_rays_that_were_recognized_move_nothing(two_laps_of_rays: MapEstimate) -> None:
+    same = two_laps_of_rays.copy()
+    close_loops(same)
+    off = np.hypot(*(same.state.poses - two_laps_of_rays.state.poses)[:, :2].T)
+    assert off.max() < 0.2
+
+
+def test_rays_of_a_place_that_odometry_tells_apart_stay_there(two_laps_of_rays: MapEstimate) -> None:
+    stray = beginning_of_second_lap(two_laps_of_rays)
+    trajectory = stray.problem.trajectory
+    stray.problem = MapProblem(replace(trajectory, step_info=100.0 * trajectory.step_info), 16, rays=True)
+    last = stray.state.poses[-1].copy()
+    close_loops(stray)
+    assert np.hypot(*(stray.state.poses[-1] - last)[:2]) < 2.0
