@@ -17,7 +17,7 @@ import numpy as np
 
 from localization import plot
 from localization.cli.arguments import make_folder
-from localization.experiments import baselines, corridor, disturbed, live, mapping, ring
+from localization.experiments import baselines, corridor, disturbed, live, mapping, recorded
 from localization.experiments import lost as lost_command
 from localization.experiments import plan as plan_command
 from localization.experiments.execution import NO_PICTURES, add_shared, drive, drive_on_cluster, progress
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "corridor", "ring", "mapping", "disturbed", "baselines", "all")
+ALONE: Final = ("live", "lost", "plan", "corridor", "ring", "flights", "mapping", "disturbed", "baselines", "all")
 """Commands that replace the names of figures."""
 
 
@@ -66,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             case ["corridor"]:
                 corridor.main(given[1:])
             case ["ring"]:
-                ring.main(given[1:])
+                recorded.main(given[1:])
+            case ["flights"]:
+                recorded.fly(given[1:])
             case ["baselines"]:
                 baselines.main(given[1:])
             case ["all"]:

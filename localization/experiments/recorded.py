@@ -1,29 +1,51 @@
-"""`python -m localization.experiments ring`: what a ring of sonars without odometry shows of a room.
+"""Recordings of other robots: `python -m localization.experiments ring` and `flights`.
 
-A plane wall reflects into all sonars within half a cone of its normal at the same range, its perpendicular distance: a
-run of neighbouring sonars of nearly equal readings, in the direction of the wall. Such runs, the distances of opposite
-ones, and what changes from one row to the next are counted; nothing is estimated.
+`ring` counts what a ring of sonars without odometry shows of a room. A plane wall reflects into all sonars within half
+a cone of its normal at the same range, its perpendicular distance: a run of neighbouring sonars of nearly equal
+readings, in the direction of the wall. Such runs, the distances of opposite ones, and what changes from one row to the
+next are counted; nothing is estimated.
+
+`flights` learns a map from the flights of a drone with four range sensors, whose order and delay it finds first: with
+the right ones the spots of 20 s are on thin walls and occupy the fewest cells of a grid. The map is rated by the
+spread of the spots about each wall, by the angles of the walls, and by the distance of what was measured of a wall when
+the drone came back from what was measured of it before.
 
 References
 ----------
-Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): regions of constant depth.
+Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): regions of constant depth. Zhou, Hu,
+Liu, Khan, Efficient 2D Graph SLAM for Sparse Sensing (2022): the flights.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import permutations
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.belief import Floats
+from localization.cli.arguments import make_folder
+from localization.filters.belief import HEADING, Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import cone_sonar
+from localization.live.sensor_input import read_log, without_echo
+from localization.mapping.association import MapEstimate
+from localization.mapping.consistency import LOOP_NODES, MIN_RETURN_ECHOES
+from localization.mapping.learn import MapLearner
+from localization.mapping.measurements import Indices, drive_of_rows, rotate
+from localization.mapping.output import LearnedMap, describe, draw_learned
+from localization.mapping.problem import COMMON_OFFSET
 from localization.plot import check_picture, save
 from nclient.common.arguments import Parser
+from nclient.common.process import show_seconds
 from nclient.errors import LogFileError
+from nclient.recording import convert
 from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank
+from worlds.robots import load_bodies
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -197,3 +219,272 @@ def _picture(row: Floats, found: RingStatistics) -> Figure:
     widths.hist(found.opposite_m, bins=np.arange(1.0, 5.0, 0.1).tolist(), color=FAINT)
     widths.set(xlabel="distance of opposite walls (m)", ylabel="pairs")
     return figure  # type: ignore[no-any-return]
+
+
+# Flights.
+
+M_PER_IN: Final = 0.0254
+POSES, RANGES = "/crazyflie2/state_xyzv", "/crazyflie2/state_ranger_qxyzw"
+"""Topics of the flights: x, y first; four ranges first, and a quaternion at 5 to 8."""
+ORDER: Final = (1, 2, 3, 0)
+"""Places in the topic of the ranges to the front, the left, the back and the right."""
+DELAYS_S: Final = (-0.05, 0.0, 0.05, 0.1, 0.15)
+MODEL: Final = """[[model]]
+name = "drone"
+like = "n150"
+sonar_ring_radius_cm = 0.1
+
+[model.ring]
+angles_deg = [0, 90, 180, 270]
+order = [[0, 1, 2, 3]]
+interval_s = 0.1
+min_range_cm = 5
+max_range_m = 2.0
+no_echo_m = 10.0
+resolution_cm = 0.1
+"""
+"""Beyond 2 m the ranges do not change as the drone moves: they are of the floor, which the beams meet there."""
+CELL_M, CELL_S = 0.1, 20.0
+"""Cells of the grid, and duration within which the odometry does not drift by one."""
+USED_M: Final = (0.05, 2.0)
+LONG_IN: Final = 80.0
+"""Walls whose angles are compared: 2 m, over which the surface does not turn a wall."""
+SQUARE_RAD: Final = np.radians(15.0)
+"""Walls that are farther from both axes are aslant by design, and not by error."""
+
+
+class FlightSettings(NamedTuple):
+    """Settings of `nomad map learn` for a flight: delay of the ranges, noise and scales of the odometry, roughness."""
+
+    delay_s: float
+    noise: tuple[float, float, float]
+    scale_stds: tuple[float, ...]
+    roughness_in: float
+
+    def words(self) -> str:
+        """Return the options of the command line."""
+        noise, stds = (",".join(f"{one:g}" for one in ones) for ones in (self.noise, self.scale_stds))
+        return (f"--sonar-delay {self.delay_s:g} --odometry-noise {noise} --scale-std {stds} "
+                f"--roughness {self.roughness_in:g}")  # fmt: skip
+
+
+SETTINGS: Final[Mapping[str, FlightSettings]] = MappingProxyType({
+    "rice": FlightSettings(0.05, (0.6, 0.01, 0.0004), (0.1, 0.003, 3e-6), 1.2),
+    "olsson-demo": FlightSettings(0.1, (0.6, 0.005, 0.0002), (0.03, 0.002, 1e-6), 1.2),
+})
+"""By the flight: with these delays the spots occupy the fewest cells; the gyro of the first wanders more, and its walls
+are rougher."""
+
+
+class Agreement(NamedTuple):
+    """An order of the ranges or a delay, and the occupied cells for each spot: fewer are better."""
+
+    value: tuple[int, ...] | float
+    cells: float
+
+
+class Flight(NamedTuple):
+    """Rating of a map; lengths in m, angles in degrees. The fields' names are those of the JSON."""
+
+    name: str
+    orders: list[Agreement]
+    delays: list[Agreement]
+    walls: int
+    explained: float
+    explained_of_repeated: float
+    chi_square: float
+    distance_scale: float
+    straightness_m: list[float]
+    """Standard deviation of the spots about each wall."""
+    angles_deg: list[float]
+    """Of walls longer than 2 m: deviation from the nearer axis of the building, in the mean of which there is none."""
+    returns_m: list[float]
+    """Of walls that were measured again: distance of late spots from the early ones, in the map."""
+    odometry_returns_m: list[float]
+    """The same walls by the odometry, with the scale of the map."""
+    start_returns_m: list[float]
+    odometry_start_returns_m: list[float]
+    """Both of the walls that were measured in the first 20 s: the error from the end to the start."""
+    stds_m: list[float]
+    """Stated standard deviation of each wall's offset."""
+    refused: str
+
+
+def crispness(poses: Floats, ranges_m: Floats, order: Sequence[int], delay_s: float) -> float:
+    """Return the number of occupied cells for each spot, over stretches of CELL_S.
+
+    Parameters
+    ----------
+    poses
+        (n, 4) time, x, y, heading; s, m, rad.
+    ranges_m
+        (n, k) ranges.
+    order
+        (k,) places of the ranges to the front, and counter-clockwise.
+    delay_s
+        By how much the ranges are older than the poses of their rows.
+    """
+    time = poses[:, 0]
+    x, y, heading = (np.interp(time - delay_s, time, column) for column in poses[:, 1:].T)
+    cells, spots = 0, 0
+    for half in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5)):
+        rows = []
+        for number, place in enumerate(order):
+            z, axis = ranges_m[:, place], heading + number * 2.0 * np.pi / len(order)
+            used = (z > USED_M[0]) & (z < USED_M[1])
+            spot = np.column_stack((x + z * np.cos(axis), y + z * np.sin(axis)))
+            cell = np.floor(spot / CELL_M + half)
+            rows.append(np.column_stack((time // CELL_S, cell))[used])
+        every = np.concatenate(rows)
+        cells, spots = cells + len(np.unique(every, axis=0)), spots + len(every)
+    return cells / max(spots, 1)
+
+
+def best_orders(poses: Floats, ranges_m: Floats) -> list[Agreement]:
+    """Return all orders of the ranges (n, k), those first with which they agree best with the poses (n, 4)."""
+    orders = permutations(range(ranges_m.shape[1]))
+    return sorted((Agreement(order, crispness(poses, ranges_m, order, 0.0)) for order in orders),
+                  key=lambda agreement: agreement.cells)  # fmt: skip
+
+
+def read_flight(bag: Path, out: Path) -> tuple[Path, Floats, Floats]:
+    """Write a flight as CSV and return its path, poses (n, 4) and ranges (n, 4) in the order of the topic."""
+    fields = [f"x_m={POSES}:raw.0", f"y_m={POSES}:raw.1", f"qz={RANGES}:raw.7", f"qw={RANGES}:raw.8"]
+    fields += [f"sonar_{number}_m={RANGES}:raw.{place}" for number, place in enumerate(ORDER)]
+    drive = convert.read_drive(bag, fields)
+    path = out / f"{bag.stem}.csv"
+    path.unlink(missing_ok=True)
+    convert.write_drive(drive, path)
+    poses = np.array([(each.time_s, each.x_m, each.y_m, each.heading_rad) for each in drive.samples])
+    poses[:, 3] = np.unwrap(poses[:, 3])
+    ranges = np.empty((len(poses), len(ORDER)))
+    ranges[:, ORDER] = [each.ranges_m for each in drive.samples]
+    return path, poses, ranges
+
+
+def learn_flight(log: Path, model: Path, settings: FlightSettings) -> tuple[MapEstimate, LearnedMap]:
+    """Return the map of a flight, as `nomad map learn` makes it."""
+    body = list(load_bodies(model).values())[-1]
+    rows = without_echo(read_log(log), body.ring)
+    drive = drive_of_rows(rows, body, is_omnidirectional=True, delay_s=settings.delay_s)
+    learner = MapLearner(drive, OdometryNoise(*settings.noise), cone_sonar(body.ring), rays=True,
+                         roughness_in=settings.roughness_in, scale_stds=settings.scale_stds)  # fmt: skip
+    while not learner.is_complete:
+        learner.advance()
+    learner.finish()
+    return learner.estimate, describe(learner.estimate, learner.turret_rad, learner.rest)
+
+
+def spots_at(estimate: MapEstimate, poses: Floats, echoes: Indices) -> Floats:
+    """Return the spots (e, 2) of some echoes along their rays, from other poses (n, 3) of the nodes."""
+    trajectory, parameters = estimate.problem.trajectory, estimate.state.parameters
+    node = trajectory.node[echoes]
+    heading = poses[node, HEADING]
+    axis = heading + trajectory.axes_rad[echoes]
+    offset = parameters[COMMON_OFFSET] + parameters[COMMON_OFFSET + 1 + trajectory.sonar[echoes]]
+    along = np.stack((np.cos(axis), np.sin(axis)), axis=-1)
+    face = poses[node, :2] + rotate(trajectory.mounts[echoes], heading)
+    spots: Floats = face + (trajectory.readings_in[echoes] - offset)[:, None] * along
+    return spots
+
+
+def return_distance(early: Floats, late: Floats) -> float:
+    """Return the median distance of late spots (m, 2) from the line of early ones (n, 2), without its sign."""
+    middle = early.mean(axis=0)
+    normal = np.linalg.svd(early - middle)[2][-1]
+    return abs(float(np.median((late - middle) @ normal)))
+
+
+def rate_flight(name: str, poses: Floats, ranges_m: Floats, estimate: MapEstimate, found: LearnedMap) -> Flight:
+    """Return the rating of a map and of its flight."""
+    state, trajectory = estimate.state, estimate.problem.trajectory
+    odometry = trajectory.odometry.copy()
+    odometry[:, :2] *= found.calibration.distance_scale
+    straightness, returns, by_odometry, at_start = list[float](), list[float](), list[float](), list[bool]()
+    for number, (angle, offset) in enumerate(state.walls):
+        echoes = estimate.echoes_of(number)
+        # 1. Spots about the wall.
+        across = spots_at(estimate, state.poses, echoes) @ (np.cos(angle), np.sin(angle)) - offset
+        straightness.append(M_PER_IN * float(np.sqrt(np.square(across).mean())) if len(across) else 0.0)
+        # 2. The first return, after 20 s or more.
+        node = trajectory.node[echoes]
+        for cut in (np.flatnonzero(np.diff(node) > LOOP_NODES) + 1)[:1]:
+            early, late = echoes[:cut], echoes[cut:]
+            if min(len(early), len(late)) < MIN_RETURN_ECHOES:
+                continue
+            at_start.append(bool(node[0] < LOOP_NODES))
+            for distances, path in ((returns, state.poses), (by_odometry, odometry)):
+                distances.append(M_PER_IN * return_distance(*(spots_at(estimate, path, one) for one in (early, late))))
+    walls = (*found.walls, *found.uncertain)
+    ends = np.array([wall.ends for wall in walls if wall.length_in > LONG_IN]).reshape(-1, 2, 2)
+    along = (ends[:, 1] - ends[:, 0]) @ (1.0, 1j)
+    # Walls along both axes point the same way four times their angle: the sum is the direction of the building.
+    fourfold = np.abs(along) * np.exp(4j * np.angle(along))
+    aslant = np.angle(fourfold * np.conj(fourfold.sum())) / 4.0
+    orders = best_orders(poses, ranges_m)
+    delays = [Agreement(delay_s, crispness(poses, ranges_m, ORDER, delay_s)) for delay_s in DELAYS_S]
+    return Flight(
+        name, orders[:3], delays, len(walls), found.quality.explained, found.quality.repeated,
+        found.quality.chi_square, found.calibration.distance_scale, straightness,
+        np.degrees(aslant).tolist(), returns, by_odometry,
+        [off for off, is_early in zip(returns, at_start, strict=True) if is_early],
+        [off for off, is_early in zip(by_odometry, at_start, strict=True) if is_early],
+        [M_PER_IN * wall.std_in for wall in walls],
+        found.reason_to_refuse(),
+    )  # fmt: skip
+
+
+def fly(arguments: Sequence[str]) -> None:
+    """Run the command `flights`."""
+    parser = Parser(
+        prog="python -m localization.experiments flights",
+        description="Learn maps from two flights of a drone with four range sensors, and rate them.",
+        epilog="example: python -m localization.experiments flights --data sparse_gslam_flights",
+    )
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR",
+                        help="folder of the bags (docs/real-data.md)")  # fmt: skip
+    parser.add_argument("--flights", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: both")
+    parser.add_argument("--out", type=Path, default=Path("out/flights"), metavar="DIR",
+                        help="write logs, model and pictures to this folder (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print JSON, an object for each flight")
+    options = parser.parse_args(arguments)
+    make_folder(options.out)
+    model = options.out / "drone.toml"
+    model.write_text(MODEL, encoding="utf-8")
+    for name in options.flights:
+        log, poses, ranges_m = read_flight(options.data / f"{name}.bag", options.out)
+        with show_seconds(f"learning the map of {name}"):
+            estimate, found = learn_flight(log, model, SETTINGS[name])
+        draw_learned(options.out / f"{name}.png", found, estimate)
+        rating = rate_flight(name, poses, ranges_m, estimate, found)
+        print(json.dumps(rating._asdict()) if options.json else _flight_text(rating), flush=True)
+        print(f"  the same by: nomad map learn --from {log} --model-file {model} --omnidirectional --sonars rays "
+              f"{SETTINGS[name].words()} --out {options.out / name}.toml")  # fmt: skip
+
+
+def _flight_text(found: Flight) -> str:
+    """Return a rating as text."""
+    def spread(values: Sequence[float], factor: float, unit: str) -> str:
+        """Return median, ninth tenth and worst."""
+        if not values:
+            return "none"
+        middle, most, worst = factor * np.quantile(np.abs(values), (0.5, 0.9, 1.0))
+        return f"{middle:.1f}, {most:.1f}, {worst:.1f} {unit} ({len(values)})"
+
+    square = [angle for angle in found.angles_deg if abs(np.radians(angle)) < SQUARE_RAD]
+    return "\n".join((
+        found.name,
+        "  orders of front, left, back, right: " + "; ".join(f"{one.value} {one.cells:.3f}" for one in found.orders),
+        "  delays: " + "; ".join(f"{one.value:g} s {one.cells:.3f}" for one in found.delays),
+        f"  {found.walls} walls explain {found.explained:.0%} of the ranges, {found.explained_of_repeated:.0%} of "
+        f"those that repeat; chi-square {found.chi_square:.2f}; distance scale {found.distance_scale:.3f}",
+        "  median, ninth tenth, worst (number):",
+        f"  spots about their wall:    {spread(found.straightness_m, 100.0, 'cm')}",
+        f"  angles to the nearer axis: {spread(square, 1.0, 'deg')}, {len(found.angles_deg) - len(square)} aslant",
+        f"  walls measured again, off: {spread(found.returns_m, 100.0, 'cm')}",
+        f"  the same by odometry:      {spread(found.odometry_returns_m, 100.0, 'cm')}",
+        f"  those of the first 20 s:   {spread(found.start_returns_m, 100.0, 'cm')}",
+        f"  the same by odometry:      {spread(found.odometry_start_returns_m, 100.0, 'cm')}",
+        f"  stated standard deviation: {spread(found.stds_m, 100.0, 'cm')}",
+        f"  refused: {found.refused or 'no'}",
+    ))  # fmt: skip
