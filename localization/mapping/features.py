@@ -30,8 +30,8 @@ References
 Tardos, Neira, Newman, Leonard, Robust Mapping and Localization in Indoor Environments Using Sonar Data (2002): the
 Hough transform of sonar arcs for lines and points. Duda, Hart, Use of the Hough Transformation (1972). Neira, Tardos,
 Data Association in Stochastic Mapping Using the Joint Compatibility Test (2001). Fischler, Bolles, Random Sample
-Consensus (1981): hypotheses by few pairs, here by all. Bosse, Newman, Leonard, Teller, Simultaneous Localization and Map
-Building in Large-Scale Cyclic Environments Using the Atlas Framework (2004): local maps that are matched to one another.
+Consensus (1981): hypotheses by few pairs, here by all. Bosse, Newman, Leonard, Teller, Simultaneous Localization and
+Map Building in Large-Scale Cyclic Environments Using the Atlas Framework (2004): local maps matched to one another.
 """
 
 from __future__ import annotations
