@@ -327,6 +327,7 @@ PAIR_BASE_IN: Final = 12.0
 NEAR_IN, NEAR_RAD = 4.0, radians(4.0)
 """Two features agree that are nearer than this, after the motion."""
 MAX_TRIALS: Final = 3
+MOTIONS_AT_ONCE: Final = 256
 JOIN_STEPS: Final = 8
 
 LOCAL_NODES: Final = 60
@@ -403,7 +404,8 @@ def _motions(estimate: MapEstimate, pairs: Indices) -> list[_Motion]:
     is_wall = pairs[:, 0] < count
     old, new = pairs.T
     # 1. By two pairs of points, or by a pair of walls for the turn and one of points.
-    points, motions = np.flatnonzero(~is_wall), list[tuple[float, Floats]]()
+    away = np.hypot(*(middles[old] - middles[new]).T)
+    points, motions = np.flatnonzero(~is_wall & (away < MAX_DRIFT_IN)), list[tuple[float, Floats]]()
     for number, one in enumerate(points):
         others = points[number + 1 :]
         a, b = middles[old[others]] - middles[old[one]], middles[new[others]] - middles[new[one]]
@@ -413,45 +415,58 @@ def _motions(estimate: MapEstimate, pairs: Indices) -> list[_Motion]:
         by_walls = wrap_angle(2.0 * (angles[old[is_wall]] - angles[new[is_wall]])) / 2.0
         for turn in (*turns[fits], *by_walls[np.abs(by_walls) < MAX_DRIFT_RAD]):
             motions.append((float(turn), middles[old[one]] - rotate(middles[new[one]], np.array(turn))))
-    found = [_supported(estimate, pairs, middles, segments, *motion) for motion in motions]
-    enough = [motion for motion in found if len(motion.pairs) >= MIN_PAIRS]
-    # 2. The best of each set of pairs.
+    # 2. Those that bring enough pairs together, all at once first: there are thousands.
+    enough = []
+    for start in range(0, len(motions), MOTIONS_AT_ONCE):
+        some = motions[start : start + MOTIONS_AT_ONCE]
+        turns, shifts = np.array([turn for turn, _ in some]), np.array([shift for _, shift in some])
+        errors = _errors(estimate, pairs, middles, segments, turns, shifts)
+        candidates = np.flatnonzero((errors <= NEAR_IN).sum(axis=1) >= MIN_PAIRS)
+        found = [_Motion(*some[row], *_matched(pairs, errors[row])) for row in candidates]
+        enough += [motion for motion in found if len(motion.pairs) >= MIN_PAIRS]
+    # 3. The best of each set of pairs.
     best: dict[bytes, _Motion] = {}
     for motion in sorted(enough, key=lambda motion: (-len(motion.pairs), motion.error)):
         best.setdefault(motion.pairs.tobytes(), motion)
     return list(best.values())
 
 
-def _supported(
-    estimate: MapEstimate, pairs: Indices, middles: Floats, segments: Floats, turn: float, shift: Floats
-) -> _Motion:
-    """Return a motion with the pairs that it brings together: the nearest old feature of each new one."""
+def _errors(
+    estimate: MapEstimate, pairs: Indices, middles: Floats, segments: Floats, turns: Floats, shifts: Floats
+) -> Floats:
+    """Return how far each of m motions leaves the two features of k pairs apart (m, k), inf beyond the drift."""
     state, count = estimate.state, len(estimate.state.walls)
     old, new = pairs.T
-    moved = rotate(middles[new], np.full(len(new), turn)) + shift
+    moved = rotate(np.broadcast_to(middles[new], (len(turns), len(new), 2)), turns[:, None]) + shifts[:, None]
     off = moved - middles[old]
-    error = np.hypot(*off.T)
+    error: Floats = np.hypot(off[..., 0], off[..., 1])
     # 1. Walls: across the old one, side by side with it, and in its direction.
     walls = old < count
     angle = state.walls[old[walls], 0]
     normal = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
     half = 0.5 * np.hypot(*(segments[old[walls], 1] - segments[old[walls], 0]).T)
-    along = np.abs(off[walls, 1] * normal[:, 0] - off[walls, 0] * normal[:, 1])
-    turned = wrap_angle(2.0 * (state.walls[new[walls], 0] + turn - angle)) / 2.0
-    across = np.abs((off[walls] * normal).sum(axis=1))
-    error[walls] = np.where((along < half + NEAR_IN) & (np.abs(turned) < NEAR_RAD), across, np.inf)
-    # 2. Within the drift; each feature in one pair.
-    near = np.hypot(*(moved - middles[new]).T) < MAX_DRIFT_IN
+    along = np.abs(off[:, walls, 1] * normal[:, 0] - off[:, walls, 0] * normal[:, 1])
+    turned = wrap_angle(2.0 * (state.walls[new[walls], 0] + turns[:, None] - angle)) / 2.0
+    across = np.abs((off[:, walls] * normal).sum(axis=-1))
+    error[:, walls] = np.where((along < half + NEAR_IN) & (np.abs(turned) < NEAR_RAD), across, np.inf)
+    # 2. Within the drift.
+    drift = moved - middles[new]
+    return np.where(np.hypot(drift[..., 0], drift[..., 1]) < MAX_DRIFT_IN, error, np.inf)
+
+
+def _matched(pairs: Indices, error: Floats) -> tuple[Indices, float]:
+    """Return the pairs that a motion brings together, each feature in the nearest one alone, and their total error."""
     rows, used_old, used_new = list[int](), set[int](), set[int]()
     for row in np.argsort(error):
         if error[row] > NEAR_IN:
             break
-        if near[row] and old[row] not in used_old and new[row] not in used_new:
+        old, new = pairs[row].tolist()
+        if old not in used_old and new not in used_new:
             rows.append(int(row))
-            used_old.add(int(old[row]))
-            used_new.add(int(new[row]))
+            used_old.add(old)
+            used_new.add(new)
     rows.sort()
-    return _Motion(turn, shift, pairs[rows], float(error[rows].sum()))
+    return pairs[rows], float(error[rows].sum())
 
 
 def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstimate:

@@ -10,7 +10,7 @@ import pytest
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
-from localization.mapping.features import close_loops
+from localization.mapping.features import _errors, _matched, close_loops
 from localization.mapping.learn import learn_map, merge
 from localization.mapping.measurements import relative_pose, rotate
 from localization.mapping.problem import MapProblem
@@ -191,3 +191,24 @@ def test_rays_of_a_place_that_odometry_tells_apart_stay_there(two_laps_of_rays: 
     last = stray.state.poses[-1].copy()
     close_loops(stray)
     assert np.hypot(*(stray.state.poses[-1] - last)[:2]) < 2.0
+
+
+def test_motions_leave_apart_what_their_displacements_say(corridor: MapEstimate) -> None:
+    walls, rng = len(corridor.state.walls), np.random.default_rng(4)
+    pairs = walls + np.array([[0, 1], [1, 0], [0, 0], [1, 1]])
+    middles = rng.uniform(-20.0, 20.0, (corridor.state.features, 2))
+    turns, shifts = np.array([0.0, 0.2, -0.3]), np.array([[0.0, 0.0], [3.0, -2.0], [90.0, 0.0]])
+    errors = _errors(corridor, pairs, middles, np.zeros((walls, 2, 2)), turns, shifts)
+    for row, (turn, shift) in enumerate(zip(turns, shifts, strict=True)):
+        R = np.array(((np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn))))
+        for column, (old, new) in enumerate(pairs):
+            moved = R @ middles[new] + shift
+            expected = np.hypot(*(moved - middles[old])) if np.hypot(*(moved - middles[new])) < 60.0 else np.inf
+            assert errors[row, column] == pytest.approx(expected)
+
+
+def test_each_feature_is_matched_once_and_nearest_first() -> None:
+    pairs = np.array([[0, 5], [0, 6], [1, 5], [2, 7]])
+    found, error = _matched(pairs, np.array([1.0, 0.5, 2.0, 4.5]))
+    assert found.tolist() == [[0, 6], [1, 5]]
+    assert error == pytest.approx(2.5)

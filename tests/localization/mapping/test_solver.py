@@ -72,3 +72,13 @@ def test_covariance_is_made_of_blocks_of_the_dense_inverse(poses: int) -> None:
     T = np.linalg.inv(H[:split, :split]).reshape(poses, 3, poses, 3)
     diagonal, _ = invert_block_tridiagonal(equations.diagonal, equations.upper)
     np.testing.assert_allclose(diagonal, [T[k, :, k] for k in range(poses)], rtol=1e-8, atol=1e-12)
+
+
+def test_border_unknowns_that_few_poses_measure_are_eliminated_like_all() -> None:
+    equations, H, g = random_equations(80, 6, 5)
+    equations.coupling[:40, :, :2] = equations.coupling[40:, :, 2:4] = 0.0
+    C = equations.coupling.reshape(240, 6)
+    T_inverse = np.linalg.inv(H[:240, :240])
+    S, h = equations.reduced()
+    np.testing.assert_allclose(S, H[240:, 240:] - C.T @ T_inverse @ C, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(h, g[240:] - C.T @ T_inverse @ g[:240], rtol=1e-8, atol=1e-9)
