@@ -27,14 +27,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import hypot, radians
+from math import dist, hypot, inf, radians
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import Floats
-from localization.mapping.association import MapEstimate
+from localization.mapping.association import MapEstimate, segments_of
 from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.problem import sensors_at
 from localization.mapping.survey import REVERSE_RAD, Geofence, Point
@@ -64,6 +64,8 @@ SHORTENED: Final = 0.95
 """Of the range, so far the sector is free."""
 CLEAR_IN: Final = 7.0
 """Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
+PASSED_IN: Final = 1.5
+"""Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
 lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
@@ -80,8 +82,9 @@ NEAR_ECHO_IN, ECHO_SHADOW_IN = 36.0, 4.0
 ends of longer echoes spread over the width of a door."""
 MIN_FRONTIER_CELLS: Final = 7
 """14 in: more than the slits between echoes, less than a door."""
-DOOR_CELLS, MIN_SIZE, MAX_SIZE = 16.0, 0.4, 1.6
-"""Cells of a frontier that is worth as much as others; and bounds of its worth."""
+BEHIND_CELLS, MIN_SIZE, MAX_SIZE = 400.0, 0.25, 1.6
+"""Unknown cells within SIGHT_IN behind a frontier that is worth as much as others, half of a half disc; and bounds of
+its worth. A niche between furniture has few, a door to a room that was not entered has many."""
 LOOK_IN, SIGHT_IN = 18.0, 44.0
 """A frontier is looked at from such distances: a wall nearer than 6 in to the body cannot be measured."""
 END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
@@ -94,6 +97,8 @@ NEAR_WALL_END_IN: Final = 4.0
 COVERAGE_IN: Final = 20.0
 VISITED_IN: Final = 7.0
 """A place nearer than this to the path has been visited."""
+HERE_IN: Final = 3.0
+"""Where the robot stands it has measured: a place that remains needs the next solution of the map."""
 REACH_CELLS_IN: Final = 6.0
 """A place is exchanged for the nearest cell within this distance that the robot can reach."""
 MIN_FREE_IN: Final = 1.2
@@ -115,7 +120,13 @@ MAX_TURNS_COMPARED: Final = 12
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
 WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
-MAX_TRIES: Final = {"frontier": 2, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
+MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
+SAME_GOAL_IN, MAX_LOOKS = 5.0, 2
+"""A frontier is looked at from cells this near to one another so often: in a door it recedes as the robot proceeds."""
+MAX_SHORTENED: Final = 3
+"""Frontiers that are left out at one decision, since something is before them."""
+BLOCKED_TRIES: Final = 2
+"""A leg that was blocked counts as so many."""
 
 
 @dataclass(slots=True)
@@ -126,18 +137,25 @@ class Place:
     x_in: float
     y_in: float
     size: float = 1.0
-    """Of a frontier: its length by that of a door, within limits."""
+    """Of a frontier: the unknown area behind it by BEHIND_CELLS, within limits."""
+    seen_from_in: Point = (inf, inf)
+    """The cell to which the robot drives for it."""
 
 
 @dataclass(slots=True)
 class Grid:
-    """Cells of CELL_IN: which are free, how far each is from a wall, and which the robot can reach at what cost."""
+    """Cells of CELL_IN: which are free, how far each is from a wall, and which the robot can reach at what cost.
+
+    `driven` are the cells of the path so far, `echo_in` is the distance to the ends of short echoes.
+    """
 
     low: Floats
     free: Mask
     space: Floats
     walls: Floats
     echoed: Mask
+    driven: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    echo_in: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     cost: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     before: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
@@ -162,6 +180,7 @@ class _Finished:
 
     def __init__(self, estimate: MapEstimate) -> None:
         self.estimate: MapEstimate | None = estimate
+        self.recent: MapEstimate | None = None
         self.poses, self.walls = estimate.state.poses, walls_and_posts(estimate)
 
 
@@ -195,7 +214,7 @@ class Explorer:
         """Points at which something blocked a leg."""
         self._tried: list[Place] = []
         self._place: Place | None = None
-        self._is_blocked = False
+        self._is_blocked = self._is_undecided = False
         self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = False
@@ -209,7 +228,7 @@ class Explorer:
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
         """Return the next path."""
-        path = None if self._is_last else self._chosen_leg(clock_s, pose, mapper, free_in)
+        path = None if self._is_last else self._free_path(clock_s, pose, mapper, free_in)
         was_blocked, self._is_blocked = self._is_blocked, False
         if path and was_blocked and not self._is_last:
             direction = float(np.arctan2(path[0][1] - pose[1], path[0][0] - pose[0]))
@@ -217,6 +236,31 @@ class Explorer:
                 # The same reading would block this leg as well: first away from what is near.
                 self._place = None
                 return self._free_leg(pose, free_in, ESCAPE_IN)
+        return path
+
+    def _free_path(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
+    ) -> list[Point] | None:
+        """Return a path, to a frontier that was looked at only as far as the sonars show its beginning to be free.
+
+        There is a wall beside unknown cells as often as a door, and a leg that is blocked takes seconds.
+        """
+        path = self._chosen_leg(clock_s, pose, mapper, free_in)
+        for _ in range(MAX_SHORTENED):
+            place = self._place
+            if not path or place is None or place.kind != "frontier" or not self._tries(place):
+                break
+            off = np.array(path[0]) - pose[:2]
+            length = float(np.hypot(*off))
+            free = free_in(float(np.arctan2(off[1], off[0])))
+            if free > length:
+                break
+            if free > HERE_IN:
+                x, y = (pose[:2] + free / length * off).tolist()
+                return [(x, y)]
+            self._tried += [place] * BLOCKED_TRIES
+            self._place = None
+            path = self._chosen_leg(clock_s, pose, mapper, free_in)
         return path
 
     def _chosen_leg(
@@ -230,6 +274,10 @@ class Explorer:
         path: list[Point] | None = None
         while clock_s < self._time_limit_s - LAST_LEG_S:
             path = self._next_path(self._grid(mapper, pose), mapper, pose)
+            if self._is_undecided and mapper.recent is not None:
+                # In a door: the echoes from beyond it make walls there, and free cells before them.
+                mapper.solve()
+                path = self._next_path(self._grid(mapper, pose), mapper, pose)
             if path is not None or self._revisions == MAX_REVISIONS:
                 break
             # Nothing left to do: with the map revised, and without what has blocked legs, there may be.
@@ -266,7 +314,7 @@ class Explorer:
                 float(pose[1]) + reach * float(np.sin(direction_rad)),
             ))  # fmt: skip
         if self._place is not None:
-            self._tried.append(self._place)
+            self._tried += [self._place] * (BLOCKED_TRIES if reason else 1)
         self._place = None
 
     def unexplored(self, estimate: MapEstimate) -> Floats:
@@ -291,23 +339,28 @@ class Explorer:
         # Walls as far as they were seen, and as far as their corners.
         self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate)
         ends = np.array([piece.ends.reshape(4) for piece in self._pieces]).reshape(-1, 4)
-        walls = np.concatenate((mapper.walls, ends))
         positions = mapper.poses[:, :2]
+        walls = passed(np.concatenate((_measured_walls(mapper), ends)), positions, self._body_in - PASSED_IN)
         everything = np.concatenate((walls.reshape(-1, 2), positions, pose[None, :2]))
         low = everything.min(axis=0) - BORDER_IN
         shape = np.ceil((everything.max(axis=0) + BORDER_IN - low) / CELL_IN).astype(int)
         nowhere = np.zeros(tuple(shape), dtype=np.bool_)
         grid = Grid(low, nowhere.copy(), np.full(tuple(shape), np.inf), walls, nowhere)
-        # 1. Where sound went.
-        if mapper.estimate is not None:
-            self._mark_sectors(grid, mapper.estimate)
-            self._mark_echoes(grid, mapper.estimate)
-        self._mark_circles(grid, mapper)
+        # 1. Where sound went: in the map, and since it was solved.
+        for estimate in (mapper.estimate, mapper.recent):
+            if estimate is not None:
+                self._mark_sectors(grid, estimate)
+                self._mark_echoes(grid, estimate)
+                self._mark_circles(grid, estimate)
+        grid.echo_in = np.full(grid.free.shape, np.inf)
+        if grid.echoed.any():
+            grid.echo_in = self._image.distance_transform_edt(~grid.echoed, sampling=CELL_IN)
+            grid.echoed = grid.echo_in <= ECHO_SHADOW_IN
         # 2. Where the robot was.
-        driven = grid.cells(np.concatenate((positions, pose[None, :2])))
-        own = np.zeros(grid.free.shape, dtype=np.bool_)
-        own[driven[:, 0], driven[:, 1]] = True
-        grid.free |= self._image.distance_transform_edt(~own, sampling=CELL_IN) <= self._body_in
+        driven = grid.cells(_dense(np.concatenate((positions, pose[None, :2]))))
+        grid.driven = np.zeros(grid.free.shape, dtype=np.bool_)
+        grid.driven[driven[:, 0], driven[:, 1]] = True
+        grid.free |= self._image.distance_transform_edt(~grid.driven, sampling=CELL_IN) <= self._body_in
         # Slits between neighbouring echoes.
         grid.free |= self._image.binary_closing(grid.free, iterations=2)
         # 3. Space to the walls, exact where it matters. What blocked a leg where the robot has been is gone.
@@ -351,7 +404,7 @@ class Explorer:
             grid.free[at[:, 0], at[:, 1]] = True
 
     def _mark_echoes(self, grid: Grid, estimate: MapEstimate) -> None:
-        """Mark the cells about the ends of short echoes, explained or not: something is there that is not free."""
+        """Mark the cells at the ends of short echoes, explained or not: something is there that is not free."""
         state, trajectory = estimate.state, estimate.problem.trajectory
         echoes = estimate.echoes()
         echoes = echoes[trajectory.readings_in[echoes] < NEAR_ECHO_IN]
@@ -359,14 +412,9 @@ class Explorer:
         along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
         at = grid.cells(sensors.face + sensors.range_in[:, None] * along)
         grid.echoed[at[:, 0], at[:, 1]] = True
-        if len(at):
-            grid.echoed = self._image.distance_transform_edt(~grid.echoed, sampling=CELL_IN) <= ECHO_SHADOW_IN
 
-    def _mark_circles(self, grid: Grid, mapper: LiveMapper | _Finished) -> None:
+    def _mark_circles(self, grid: Grid, estimate: MapEstimate) -> None:
         """Mark the circles that the shortest readings of a turn of the ring leave free."""
-        estimate = mapper.estimate
-        if estimate is None:
-            return
         trajectory, count = estimate.problem.trajectory, len(estimate.state.poses)
         # From the node: the sonars stand on a ring about it.
         reach = trajectory.readings_in + np.hypot(*trajectory.mounts.T)
@@ -391,6 +439,9 @@ class Explorer:
         unknown = ~grid.free & (grid.space > WALL_SHADOW_IN)
         if unknown.any():
             passable &= self._image.distance_transform_edt(~unknown, sampling=CELL_IN) > UNKNOWN_IN
+        # Where the robot has been it comes again, though a wall of the map may end an inch or two too far in a door.
+        if len(grid.driven):
+            passable |= grid.driven
         if self._fence is not None:
             first, last = grid.cells(np.array((self._fence.low, self._fence.high)))
             inside = np.zeros(passable.shape, dtype=np.bool_)
@@ -429,7 +480,7 @@ class Explorer:
     def _next_path(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> list[Point] | None:
         """Return the path to the best place; None if there is none."""
         self.places = []
-        best, chosen = 0.0, None
+        best, chosen, here = 0.0, None, 0.0
         reached = np.argwhere(grid.reached)
         if not len(reached):
             return None
@@ -442,20 +493,26 @@ class Explorer:
             at = np.array((place.x_in, place.y_in))
             away = np.hypot(*(centres - at).T)
             near = away < radius
-            if not near.any() or self._tries(place) >= MAX_TRIES[place.kind]:
+            tries = self._tries(place)
+            if not near.any() or tries >= MAX_TRIES[place.kind]:
                 continue
             # Beside a wall nearer than sonars measure nothing shows how near it is: only where there is no other place.
             has_space = near & (space > self._body_in + COMFORT_IN)
             near = has_space if has_space.any() else near
             if place.kind == "frontier":
-                # From a place with space around it, in sight of it.
-                near = has_space & (away > LOOK_IN)
+                # In sight of it: first from where sonars measure a wall, then from as near as the robot can come, but
+                # not where they have measured something: the edge of a door reflects little from near.
+                clear = grid.echo_in[reached[:, 0], reached[:, 1]] > self._body_in + COMFORT_IN
+                near = has_space & (clear if tries else away > LOOK_IN)
                 near[near] = ~_crossed(centres[near], at, grid.walls)
                 if not near.any():
                     continue
             # The nearest cell to the place, cheap to reach.
             number = int(np.where(near, away + 0.3 * costs, np.inf).argmin())
             goal = centres[number]
+            place.seen_from_in = float(goal[0]), float(goal[1])
+            if place.kind == "frontier" and self._tries(place, SAME_GOAL_IN) >= MAX_LOOKS:
+                continue
             past = np.hypot(*(visited - goal).T)
             if place.kind == "corner":
                 # Another one comes between two visits.
@@ -467,12 +524,16 @@ class Explorer:
             self.places.append(place)
             seconds = SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s)
             worth = WORTH[place.kind] * place.size
+            if np.hypot(*(goal - pose[:2])) < HERE_IN:
+                here = max(here, worth / seconds)
+                continue
             choices.append((worth / seconds, seconds, place, reached[number]))
         # The best by distance, with the turn before the leg.
         for value, seconds, place, cell in sorted(choices, key=lambda choice: -choice[0])[:MAX_TURNS_COMPARED]:
             with_turn = value * seconds / (seconds + self._turn_seconds(grid, pose, cell))
             if with_turn > best:
                 best, chosen = with_turn, (place, cell)
+        self._is_undecided = here > best
         if chosen is None:
             return None
         self._place = chosen[0]
@@ -489,11 +550,13 @@ class Explorer:
         turn = abs(angle_difference(float(np.arctan2(place[1] - pose[1], place[0] - pose[0])), float(pose[2])))
         return (turn if turn < REVERSE_RAD else np.pi - turn) / TURN_RAD_S
 
-    def _tries(self, place: Place) -> int:
-        """Return how often a place, or one near to it, was tried."""
+    def _tries(self, place: Place, from_within_in: float = inf) -> int:
+        """Return how often a place, or one near to it, was tried, from cells within a distance of the present one."""
         radius = 12.0 if place.kind == "frontier" else 5.0
         return sum(
-            other.kind == place.kind and hypot(other.x_in - place.x_in, other.y_in - place.y_in) < radius
+            other.kind == place.kind
+            and hypot(other.x_in - place.x_in, other.y_in - place.y_in) < radius
+            and (from_within_in == inf or dist(other.seen_from_in, place.seen_from_in) < from_within_in)
             for other in self._tried
         )
 
@@ -538,8 +601,19 @@ class Explorer:
             for part in np.array_split(cells[np.argsort(cells @ np.ptp(cells, axis=0))], parts):
                 centres = grid.centres(part)
                 middle = centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()]
-                found.append((*middle, np.clip(len(part) / DOOR_CELLS, MIN_SIZE, MAX_SIZE)))
+                behind = self._behind(unknown, grid.cells(middle[None])[0])
+                found.append((*middle, np.clip(behind / BEHIND_CELLS, MIN_SIZE, MAX_SIZE)))
         return np.array(found).reshape(-1, 3)
+
+    def _behind(self, unknown: Mask, cell: npt.NDArray[np.intp]) -> int:
+        """Return the number of unknown cells about an unknown one, within SIGHT_IN, that no wall separates from it."""
+        reach = int(SIGHT_IN / CELL_IN)
+        low = np.maximum(cell - reach, 0)
+        part = unknown[low[0] : cell[0] + reach + 1, low[1] : cell[1] + reach + 1]
+        labels, _ = self._image.label(part)
+        row, column = cell - low
+        rows, columns = np.nonzero(labels == labels[row, column])
+        return int((np.hypot(rows - row, columns - column) <= reach).sum())
 
     # Paths.
 
@@ -592,6 +666,49 @@ class Explorer:
                 if segment_clearances(line, walls)[0] > self._body_in + COMFORT_IN + 2.0:
                     return [(float(line[0, 2]), float(line[0, 3]))]
         return None
+
+
+def _measured_walls(mapper: LiveMapper | _Finished) -> Floats:
+    """Return the parts (n, 4) of walls without wide gaps, and points: a line beyond a door leaves the door open."""
+    estimate = mapper.estimate
+    if estimate is None:
+        return mapper.walls
+    has_runs = np.isin(np.arange(len(estimate.state.walls)), estimate.runs[:, 0])
+    whole = np.append(~has_runs, np.ones(len(estimate.state.points), dtype=np.bool_))
+    parts = segments_of(estimate.state.walls[estimate.runs[:, 0].astype(np.intp)], estimate.runs[:, 1:])
+    return np.concatenate((parts, mapper.walls[whole]))
+
+
+def _dense(path: Floats) -> Floats:
+    """Return a path (p, 2) with points at most a cell apart."""
+    count = int(np.hypot(*np.diff(path, axis=0).T).max(initial=0.0) / CELL_IN) + 1
+    fraction = np.arange(count)[None, :, None] / count
+    between = path[:-1, None] + fraction * np.diff(path, axis=0)[:, None]
+    return np.concatenate((between.reshape(-1, 2), path[-1:]))
+
+
+def passed(walls: Floats, path: Floats, radius_in: float) -> Floats:
+    """Return the parts (n, 4) of walls (w, 4) that are not nearer than a radius to any point (p, 2) of a path."""
+    parts = []
+    for wall in walls:
+        length = max(float(np.hypot(*(wall[2:] - wall[:2]))), 1e-9)
+        along = (wall[2:] - wall[:2]) / length
+        off = path - wall[:2]
+        across = off[:, 0] * along[1] - off[:, 1] * along[0]
+        near = np.abs(across) < radius_in
+        middle, half = off[near] @ along, np.sqrt(radius_in**2 - across[near] ** 2)
+        begin = 0.0
+        for low, high in sorted(zip(middle - half, middle + half, strict=True)):
+            if high < begin:
+                continue
+            if low > length:
+                break
+            if low > begin:
+                parts.append((*(wall[:2] + begin * along), *(wall[:2] + low * along)))
+            begin = high
+        if begin < length:
+            parts.append((*(wall[:2] + begin * along), *wall[2:]))
+    return np.array(parts).reshape(-1, 4)
 
 
 def _samples(segment: Floats) -> Floats:

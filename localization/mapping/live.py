@@ -85,6 +85,8 @@ class LiveMapper:
         """True if sonars measure along exact rays."""
         self.estimate: MapEstimate | None = None
         """The last solution of the whole map; None before the first one."""
+        self.recent: MapEstimate | None = None
+        """The last poses in that map, with the features of their echoes; None where it has all of them."""
         self.rounds = 0
         """Number of those solutions."""
         self._poses, self._groups = np.zeros((0, POSE)), np.zeros(0, dtype=np.intp)
@@ -175,6 +177,7 @@ class LiveMapper:
             align_heading(window, len(trajectory) - ALIGN_NODES, self._noise)
             window.associate()
             window.optimize(2)
+        self.recent = window
         self._poses = np.concatenate((self._poses[:first], window.state.poses))
         self._groups = np.concatenate((self._groups[:first], groups))
         self._encoders = trajectory.odometry[-1]
@@ -225,6 +228,7 @@ class LiveMapper:
         update_features(estimate, window)
         estimate = self._challenged(estimate, log)
         self.estimate, self._poses, self._groups = estimate, estimate.state.poses, trajectory.group
+        self.recent = None
         self._encoders = trajectory.odometry[-1]
         self.rounds += 1
 

@@ -11,7 +11,18 @@ import pytest
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
-from localization.mapping.explore import CELL_IN, Explorer, Grid, _corner_places, _Finished, pushed
+from localization.mapping.explore import (
+    CELL_IN,
+    Explorer,
+    Grid,
+    Place,
+    _corner_places,
+    _dense,
+    _Finished,
+    _measured_walls,
+    passed,
+    pushed,
+)
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import read_drive
 from localization.mapping.walls import Piece
@@ -60,6 +71,77 @@ def test_band_is_pushed_to_the_middle_of_a_gap() -> None:
     middle = found[np.abs(found[:, 0] - 80.0) < 4.0]
     np.testing.assert_allclose(middle[:, 1], 40.37, atol=1.2)
     np.testing.assert_allclose(found[[0, -1]], points[[0, -1]])
+
+
+def test_walls_end_where_the_robot_has_passed_them() -> None:
+    walls = np.array([(0.0, 0.0, 100.0, 0.0), (0.0, 50.0, 100.0, 40.0), (20.0, -30.0, 20.0, -9.0)])
+    path = np.array([(50.0, -4.0), (52.0, 3.0), (98.0, 0.0), (30.0, 41.0), (300.0, 0.0)])
+    found = passed(walls, path, 8.0)
+    # Against points along the walls: near the path nothing is left, and everywhere else all of it.
+    for wall in walls:
+        points = np.linspace(wall[:2], wall[2:], 400)
+        away = np.hypot(*(points[:, None] - path).transpose(2, 0, 1)).min(axis=1)
+        clear = np.abs(away - 8.0) > 0.3
+        is_left = wall_distances(points, found) < 1e-6
+        np.testing.assert_array_equal(is_left[clear], (away > 8.0)[clear])
+
+
+def test_path_is_filled_up_to_points_a_cell_apart() -> None:
+    path = np.array([(0.0, 0.0), (0.0, 7.0), (3.0, 7.0)])
+    found = _dense(path)
+    assert np.hypot(*np.diff(found, axis=0).T).max() <= CELL_IN
+    assert wall_distances(path, np.concatenate((found[:-1], found[1:]), axis=1)).max() < 1e-9
+
+
+def test_line_that_goes_on_beyond_a_door_leaves_it_open(estimate: MapEstimate) -> None:
+    parted = estimate.copy()
+    low, high = parted.extents[0]
+    middle = 0.5 * (low + high)
+    others = parted.runs[parted.runs[:, 0] != 0]
+    parted.runs = np.concatenate((others, [(0, low, middle - 15.0), (0, middle + 15.0, high)]))
+    angle, offset = parted.state.walls[0]
+    door = offset * np.array((np.cos(angle), np.sin(angle))) + middle * np.array((-np.sin(angle), np.cos(angle)))
+    assert wall_distances(door[None], _measured_walls(_Finished(estimate)))[0] < 0.01
+    assert wall_distances(door[None], _measured_walls(_Finished(parted)))[0] == pytest.approx(15.0)
+
+
+def test_robot_comes_back_through_a_door_that_the_map_has_too_narrow() -> None:
+    walls, pose = wall_with_gap(18.0), np.array((40.0, 30.0, 0.0))
+    grid, explorer = grid_of(walls), Explorer(BODY_IN, 6.0, 300.0)
+    (goal,) = grid.cells(np.array([[120.0, 50.0]]))
+    explorer.find_reach(grid, pose)
+    assert not grid.reached[goal[0], goal[1]]
+    driven = grid.cells(_dense(np.array([(50.0, 40.0), (110.0, 41.0)])))
+    grid.driven = np.zeros(grid.free.shape, dtype=np.bool_)
+    grid.driven[driven[:, 0], driven[:, 1]] = True
+    explorer.find_reach(grid, pose)
+    assert grid.reached[goal[0], goal[1]]
+
+
+def test_frontier_before_a_room_is_worth_more_than_a_niche() -> None:
+    unknown = np.zeros((80, 80), dtype=np.bool_)
+    unknown[:10, :] = True
+    unknown[40:43, 40:45] = True
+    explorer = Explorer(BODY_IN, 6.0, 300.0)
+    assert explorer._behind(unknown, np.array((41, 42))) == 15
+    # Half a disc is cut by the edge of the grid: cells of 10 rows within 22 cells.
+    rows, columns = np.mgrid[:10, :80]
+    inside = np.hypot(rows - 9, columns - 40) <= 22.0
+    assert explorer._behind(unknown, np.array((9, 40))) == inside.sum()
+
+
+def test_frontier_counts_as_tried_where_it_was_looked_at_from() -> None:
+    explorer = Explorer(BODY_IN, 6.0, 300.0)
+    explorer._place = Place("frontier", 10.0, 0.0, 1.0, (0.0, 0.0))
+    explorer.end_leg(np.zeros(3), "")
+    near = Place("frontier", 14.0, 0.0, 1.0, (1.0, 1.0))
+    assert (explorer._tries(near), explorer._tries(near, 5.0)) == (1, 1)
+    # From further into the door it is another look.
+    near.seen_from_in = 7.0, 0.0
+    assert (explorer._tries(near), explorer._tries(near, 5.0)) == (1, 0)
+    explorer._place = near
+    explorer.end_leg(np.zeros(3), "blocked")
+    assert (explorer._tries(near), explorer._tries(near, 5.0)) == (3, 2)
 
 
 class NoMap:
