@@ -123,6 +123,8 @@ WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "covera
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
 SAME_GOAL_IN, MAX_LOOKS = 5.0, 2
 """A frontier is looked at from cells this near to one another so often: in a door it recedes as the robot proceeds."""
+SEEN_AT_ONCE: Final = 64
+"""Cells that are tested at once for whether a frontier is in sight: mostly one of the nearest is."""
 MAX_SHORTENED: Final = 3
 """Frontiers that are left out at one decision, since something is before them."""
 BLOCKED_TRIES: Final = 2
@@ -504,11 +506,12 @@ class Explorer:
                 # not where they have measured something: the edge of a door reflects little from near.
                 clear = grid.echo_in[reached[:, 0], reached[:, 1]] > self._body_in + COMFORT_IN
                 near = has_space & (clear if tries else away > LOOK_IN)
-                near[near] = ~_crossed(centres[near], at, grid.walls)
-                if not near.any():
-                    continue
             # The nearest cell to the place, cheap to reach.
-            number = int(np.where(near, away + 0.3 * costs, np.inf).argmin())
+            rows = np.flatnonzero(near)
+            rows = rows[np.argsort((away + 0.3 * costs)[rows], kind="stable")]
+            number = _first_in_sight(centres, rows, at, grid.walls) if place.kind == "frontier" else int(rows[0])
+            if number is None:
+                continue
             goal = centres[number]
             place.seen_from_in = float(goal[0]), float(goal[1])
             if place.kind == "frontier" and self._tries(place, SAME_GOAL_IN) >= MAX_LOOKS:
@@ -730,6 +733,16 @@ def pushed(points: Floats, walls: Floats, wanted_in: float) -> Floats:
         pull = 0.25 * (points[:-2] + points[2:] - 2.0 * points[1:-1])
         points[1:-1] += push + pull
     return points
+
+
+def _first_in_sight(centres: Floats, rows: npt.NDArray[np.intp], place: Floats, walls: Floats) -> int | None:
+    """Return the first of some rows of points (n, 2) from which no wall hides a place; None if all do."""
+    for start in range(0, len(rows), SEEN_AT_ONCE):
+        some = rows[start : start + SEEN_AT_ONCE]
+        in_sight = some[~_crossed(centres[some], place, walls)]
+        if len(in_sight):
+            return int(in_sight[0])
+    return None
 
 
 def _crossed(starts: Floats, end: Floats, walls: Floats) -> Mask:

@@ -19,6 +19,7 @@ from localization.mapping.explore import (
     _corner_places,
     _dense,
     _Finished,
+    _first_in_sight,
     _measured_walls,
     passed,
     pushed,
@@ -116,6 +117,18 @@ def test_robot_comes_back_through_a_door_that_the_map_has_too_narrow() -> None:
     grid.driven[driven[:, 0], driven[:, 1]] = True
     explorer.find_reach(grid, pose)
     assert grid.reached[goal[0], goal[1]]
+
+
+def test_first_cell_in_sight_is_that_of_all_cells() -> None:
+    walls, place = wall_with_gap(24.0), np.array((120.0, 50.0))
+    centres = np.random.default_rng(2).uniform((5.0, 5.0), (75.0, 75.0), (300, 2))
+    # Seen through the gap of the wall at x = 80.3.
+    at = place[1] + (80.3 - place[0]) / (centres[:, 0] - place[0]) * (centres[:, 1] - place[1])
+    seen = np.flatnonzero(np.abs(at - 40.37) < 12.0)
+    hidden = np.setdiff1d(np.arange(300), seen)
+    rows = np.concatenate((hidden, seen))
+    assert _first_in_sight(centres, rows, place, walls) == seen[0]
+    assert _first_in_sight(centres, hidden, place, walls) is None
 
 
 def test_frontier_before_a_room_is_worth_more_than_a_niche() -> None:
