@@ -104,7 +104,7 @@ REACH_CELLS_IN: Final = 6.0
 MIN_FREE_IN: Final = 1.2
 """A leg that begins with less free distance is blocked at once."""
 ESCAPE_IN: Final = 8.0
-"""Then the robot drives away from what is near by this much."""
+"""Then the robot drives back by this much: the edge of a wall that reflects little may be near in other directions."""
 AHEAD_IN: Final = 3.0
 """Distance from the body to what blocked a leg."""
 MAX_REVISIONS: Final = 2
@@ -237,8 +237,13 @@ class Explorer:
             if free_in(direction) < MIN_FREE_IN:
                 # The same reading would block this leg as well: first away from what is near.
                 self._place = None
-                return self._free_leg(pose, free_in, ESCAPE_IN)
+                return self._way_back(pose, mapper.poses) or self._free_leg(pose, free_in, ESCAPE_IN)
         return path
+
+    def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
+        """Return a leg to where the robot was ESCAPE_IN ago: there is nothing on it; none at the beginning."""
+        far = np.flatnonzero(np.hypot(*(poses[:, :2] - pose[:2]).T) > ESCAPE_IN)
+        return [(float(poses[far[-1], 0]), float(poses[far[-1], 1]))] if len(far) else []
 
     def _free_path(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]

@@ -160,7 +160,7 @@ def test_frontier_counts_as_tried_where_it_was_looked_at_from() -> None:
 class NoMap:
     """A mapper before its first solution."""
 
-    rounds = 0
+    rounds, poses = 0, np.zeros((0, 3))
 
 
 def test_what_blocks_a_leg_lies_ahead_of_the_body() -> None:
@@ -185,6 +185,13 @@ def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.Mon
     # Once: whatever blocks then is the map's.
     explorer.end_leg(pose, "", 0.0)
     assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
+
+
+def test_way_back_is_where_the_robot_was() -> None:
+    explorer = Explorer(BODY_IN, 6.0, 300.0)
+    poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (14.0, 0.0, 0.0), (14.0, 5.0, 1.5)])
+    assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses) == [(10.0, 0.0)]
+    assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses[2:]) == []
 
 
 def test_exploration_goes_on_with_a_revised_map_before_it_ends(
