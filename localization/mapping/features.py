@@ -146,36 +146,6 @@ def find_births(estimate: MapEstimate, first_node: int) -> int:
     return born
 
 
-def find_masked_walls(estimate: MapEstimate) -> list[tuple[Floats, Floats]]:
-    """Return walls (2,) and their extents (2,) that unexplained echoes and echoes of points show together.
-
-    A point that was born of a part of a wall's echoes explains these, and the others are too few to tell a wall from
-    another point. Points in which two walls meet are what they seem.
-    """
-    walls, points = len(estimate.state.walls), len(estimate.state.points)
-    ties = np.bincount(estimate.assignment.ties[:, 0], minlength=points)[:points]
-    masking = walls + np.flatnonzero(ties < 2)
-    echoes = estimate.echoes()
-    assigned = estimate.assignment.feature[echoes]
-    free = _free_echoes(estimate, echoes[(assigned == NO_FEATURE) | np.isin(assigned, masking)])
-    left, found = np.ones(len(free), dtype=np.bool_), []
-    for _ in range(MAX_CANDIDATES):
-        if left.sum() < MIN_VOTES:
-            break
-        numbers, remaining = np.flatnonzero(left), free.some(left)
-        feature, _, votes = _wall_peak(remaining)
-        if votes < MIN_VOTES:
-            break
-        fit = _fit(remaining, feature, True)
-        if not fit.supports.any():
-            break
-        left[numbers[fit.supports]] = False
-        if fit.supports.sum() >= MIN_VOTES and fit.base_in >= MIN_BASE_IN:
-            feet = predict_wall(remaining.sensors, fit.feature[None], free.rays).foot[fit.supports]
-            found.append((fit.feature, np.array((feet.min(), feet.max()))))
-    return found
-
-
 def _free_echoes(estimate: MapEstimate, echoes: Indices) -> FreeEchoes:
     """Return unexplained echoes, without those from behind a wall of the map."""
     trajectory, state = estimate.problem.trajectory, estimate.state

@@ -45,7 +45,7 @@ from localization.mapping.association import (
     segments_of,
     weigh_ranges,
 )
-from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births, find_masked_walls
+from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import NO_FEATURE, PARAMETER_STDS, ROBUST_LIMIT, MapProblem, sensors_at
 from localization.mapping.walls import (
@@ -173,7 +173,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (unmask_walls, join_points, merge, split, swallow, absorb_points, prune):
+    for change in (join_points, merge, split, swallow, absorb_points, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -375,20 +375,6 @@ def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:
     return float(assign(estimate, echoes)[1].sum())
 
 
-def unmask_walls(estimate: MapEstimate) -> int:
-    """Add walls of which points have taken a part of the echoes, where the total cost falls; return their number."""
-    added = 0
-    # Exact rays make no points.
-    for line, extent in find_masked_walls(estimate) if not estimate.problem.rays else ():
-        # Points on it are its parts, or an end and a corner.
-        trial = min((_with_wall(estimate, line, extent, takes_points=taken) for taken in (True, False)),
-                    key=lambda candidate: candidate.cost)  # fmt: skip
-        if trial.cost < estimate.cost:
-            estimate.replace_by(trial)
-            added += 1
-    return added
-
-
 def join_points(estimate: MapEstimate) -> int:
     """Add walls between two points where no sound has passed and the total cost falls, and return their number.
 
@@ -450,15 +436,14 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
     return True
 
 
-def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, *, takes_points: bool = True) -> MapEstimate:
-    """Return the map with one wall (2,) more, optimized; it may take the place of points in its middle."""
+def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstimate:
+    """Return the map with one wall (2,) more, of which points in its middle are part, optimized."""
     trial, state = estimate.copy(), estimate.state
-    if takes_points:
-        c, s = np.cos(line[0]), np.sin(line[0])
-        along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
-        between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
-        for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
-            trial.remove(len(state.walls) + int(number))
+    c, s = np.cos(line[0]), np.sin(line[0])
+    along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
+    between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
+    for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
+        trial.remove(len(state.walls) + int(number))
     trial.add_wall(line, extent)
     for _ in range(2):
         trial.associate()

@@ -14,8 +14,8 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
-from localization.mapping.features import MIN_BASE_IN, FreeEchoes, _fit, find_births
-from localization.mapping.learn import _merged, learn_map, merge, prune, split, tie_points, unmask_walls
+from localization.mapping.features import FreeEchoes, _fit
+from localization.mapping.learn import _merged, learn_map, merge, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
@@ -143,35 +143,6 @@ def test_wall_ends_at_a_point_near_its_end(
     # What is measured past its end is not hidden.
     path = (high - 3.0) * along + offset * normal
     assert is_blocked((path - 10.0 * normal)[None], (path + 10.0 * normal)[None], found.blocking)[0] == (cut_in == 0.0)
-
-
-def test_wall_is_found_though_points_have_taken_its_echoes(estimate: MapEstimate) -> None:
-    wall = int((estimate.extents[:, 1] - estimate.extents[:, 0]).argmin())
-    angle, offset = estimate.state.walls[wall]
-    low, high = estimate.extents[wall]
-    # 1. Points on the line of the wall that is missing, and the wall's echoes are nearest to them.
-    found = estimate.copy()
-    along = np.array((-np.sin(angle), np.cos(angle)))
-    line = offset * np.array((np.cos(angle), np.sin(angle)))
-    for place in np.arange(low, high, MIN_BASE_IN):
-        found.add_point(line + place * along)
-    found.remove(wall)
-    found.associate()
-    tie_points(found)
-    # Without the echoes of the points, those left show no wall.
-    walls = len(found.state.walls)
-    assert find_births(found.copy(), 0) == 0
-    # 2. Together they do, and the points are of no use then.
-    assert unmask_walls(found) == 1
-    prune(found)
-    assert len(found.state.walls) == walls + 1
-    assert len(found.state.points) <= len(estimate.state.points)
-    turn = np.angle(np.exp(2j * (found.state.walls[walls, 0] - angle))) / 2.0
-    assert abs(turn) < np.radians(1.0)
-    assert abs(float(found.state.walls[walls] @ (0.0, 1.0)) - offset) < 0.5
-    np.testing.assert_allclose(found.extents[walls], (low, high), atol=3.0)
-    # 3. A sound map has none.
-    assert unmask_walls(estimate.copy()) == 0
 
 
 @pytest.mark.long
