@@ -322,7 +322,7 @@ class _Motion:
             points = self._driver.leg(elapsed_s, pose, mapper, free_in)
             if points is None:
                 return "done"
-            self._leg, self._blocked_s, self._blind_since = _Leg(pose, points, self._limits), inf, None
+            self._leg, self._blocked_s = _Leg(pose, points, self._limits), inf
         command = self._leg.command(pose)
         if command is None:
             self._leg = None
@@ -389,14 +389,15 @@ class _Motion:
         back = pi if speed < 0.0 else 0.0
         free_in = self._guard.free_in(encoders, float(encoders[2]) + back)
         allowed = free_in / REACTION_S
-        # Beside a wall that is too near to measure, neither far nor fast.
+        # Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
         if not self._guard.is_blind:
             self._blind_since = None
         elif self._blind_since is None:
             self._blind_since = encoders
         if self._blind_since is not None:
-            blind_in = hypot(*(encoders - self._blind_since)[:2])
-            allowed = 0.0 if blind_in > BLIND_IN else min(allowed, BLIND_IN_S)
+            x, y = (encoders - self._blind_since)[:2].tolist()
+            goes_on = x * cos(encoders[2] + back) + y * sin(encoders[2] + back) > 0.0
+            allowed = 0.0 if goes_on and hypot(x, y) > BLIND_IN else min(allowed, BLIND_IN_S)
         if allowed < GAP_IN_S and self._fits(pose, encoders, float(pose[2]) + back, mapper):
             # Whatever the map shows, something is where a ray ended.
             of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)

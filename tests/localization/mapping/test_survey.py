@@ -19,7 +19,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
 from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, _Motion, survey
-from localization.navigation.control_law import MODEL_LIMITS
+from localization.navigation.control_law import MODEL_LIMITS, VelocityCommand
 from nclient import Robot, connect
 from nclient.cli import main
 from nclient.errors import BumperHit
@@ -444,6 +444,27 @@ def test_end_of_a_wall_of_the_map_stops_the_robot(aside_in: float) -> None:
     assert motion._free_of_map_in(near, pi, cast("LiveMapper", mapper)) == np.inf
     mapper.is_sound = False
     assert motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper)) == np.inf
+
+
+def test_wall_too_near_to_measure_is_followed_for_8_in_in_all() -> None:
+    # Short legs along a wall to the left that all readings show at the lower limit, then back.
+    guard, driver = SpeedGuard(N150), WaypointDriver([(4.0, 0.0), (7.0, 0.0), (11.0, 0.0), (0.0, 0.0)])
+    motion = _Motion(driver, guard, MODEL_LIMITS["n150"], None)
+    mapper = SoundMap(0.0)
+    mapper.is_sound = False
+    pose, path = np.zeros(3), []
+    for step in range(200):
+        guard.add(0.1 * step, np.append(pose, 0.0), pi / 2.0, N150.ring.min_range_in)
+        command = motion.command(0.1 * step, False, pose, pose, cast("LiveMapper", mapper))
+        if not driver.remaining:
+            break
+        assert isinstance(command, VelocityCommand)
+        assert abs(command.translation_in_s) < 3.01
+        pose = pose + np.array((0.1 * command.translation_in_s, 0.0, 0.0))
+        path.append(float(pose[0]))
+    assert [point for point, _ in driver.skipped] == [(11.0, 0.0)]
+    assert 8.0 < max(path) < 8.4
+    assert path[-1] < 2.1
 
 
 def test_end_of_a_wall_between_two_rays_is_remembered() -> None:
