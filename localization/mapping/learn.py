@@ -41,6 +41,7 @@ from localization.mapping.association import (
     Mask,
     align_heading,
     assign,
+    is_blocked,
     residual_matrix,
     segments_of,
     weigh_ranges,
@@ -53,6 +54,7 @@ from localization.mapping.walls import (
     MIN_CORNER_RAD,
     REACH_IN,
     Span,
+    extract_walls,
     free_paths,
     pass_through,
     uncrossed_spans,
@@ -84,6 +86,8 @@ MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
 SWALLOW_IN: Final = 40.0
 """Walls seen over a shorter length may be a corner."""
+HIDDEN_FRACTION: Final = 0.5
+"""Of a wall's echoes; the false ones in the corner of a wedge had 0.9."""
 MIN_JOIN_ECHOES: Final = 4
 """Echoes that must support a wall between two points, unless no sound passes where it should."""
 JOINED_PENALTY: Final = 15.0
@@ -160,6 +164,7 @@ class MapLearner:
         for _ in range(LAST_ROUNDS):
             if not revise(self.estimate):
                 break
+        drop_hidden(self.estimate)
         tie_points(self.estimate)
         # With the weights of its ranges, and without those that the map then explains no more.
         for _ in range(2):
@@ -304,6 +309,26 @@ def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: boo
         trial.associate()
         trial.optimize(3)
     return trial
+
+
+def drop_hidden(estimate: MapEstimate) -> int:
+    """Remove walls behind others, most of whose echoes would have passed through these; return their number.
+
+    Sound that is reflected twice in a corner comes late, as if from beyond it. Where nothing else was measured beyond,
+    the other walls reach as far as the corner.
+    """
+    dropped = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        echoes = estimate.echoes_of(wall)
+        _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        without = estimate.copy()
+        without.remove(wall)
+        others = np.array([piece.ends.reshape(4) for piece in extract_walls(without)]).reshape(-1, 4)
+        if len(echoes) and is_blocked(sensors.face, spots[:, wall], others).mean() > HIDDEN_FRACTION:
+            without.associate()
+            estimate.replace_by(without)
+            dropped += 1
+    return dropped
 
 
 def swallow(estimate: MapEstimate) -> int:

@@ -15,7 +15,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
 from localization.mapping.features import FreeEchoes, _fit
-from localization.mapping.learn import _merged, learn_map, merge, split
+from localization.mapping.learn import _merged, drop_hidden, learn_map, merge, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
@@ -143,6 +143,22 @@ def test_wall_ends_at_a_point_near_its_end(
     # What is measured past its end is not hidden.
     path = (high - 3.0) * along + offset * normal
     assert is_blocked((path - 10.0 * normal)[None], (path + 10.0 * normal)[None], found.blocking)[0] == (cut_in == 0.0)
+
+
+def test_wall_behind_another_one_is_removed(estimate: MapEstimate) -> None:
+    # Sound that came late, as if from 15 in beyond a wall, and sound of a wall 15 in before it.
+    for beyond_in, dropped in ((15.0, 1), (-15.0, 0)):
+        found = estimate.copy()
+        angle, offset = found.state.walls[0]
+        walls, echoes = len(found.state.walls), found.echoes_of(0)
+        found.add_wall(np.array((angle, offset + beyond_in)), found.extents[0])
+        feature = found.assignment.feature.copy()
+        feature[echoes[::3]] = walls
+        found.assignment = replace(found.assignment, feature=feature)
+        assert drop_hidden(found) == dropped
+        assert len(found.state.walls) == walls + 1 - dropped
+    np.testing.assert_array_equal(found.state.walls[:walls], estimate.state.walls)
+    assert drop_hidden(estimate.copy()) == 0
 
 
 @pytest.mark.long
