@@ -67,7 +67,7 @@ PASSED_IN: Final = (2.0, 4.0, 6.0)
 GAP_SPACE_IN: Final = 1.2
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
-AHEAD_IN: Final = tuple(0.5 * step for step in range(1, 19))
+MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 19))
 """Where the map is looked up: as far as the robot drives in REACTION_S at the usual 6 in/s."""
 KNOWN_IN: Final = 8.0
 """The map must show a wall this near to the body: that is what the sonars cannot measure."""
@@ -349,9 +349,9 @@ class _Motion:
         """Return how far the body may move until a wall of a sound map is too near; inf if none is within 9 in."""
         if not mapper.is_sound or not len(mapper.walls):
             return inf
-        places = pose[:2] + np.outer((0.0, *AHEAD_IN), np.array((cos(direction_rad), sin(direction_rad))))
+        places = pose[:2] + np.outer((0.0, *MAP_STEPS_IN), np.array((cos(direction_rad), sin(direction_rad))))
         spaces = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
-        for moved_in, (before, space) in zip((0.0, *AHEAD_IN), pairwise(spaces), strict=False):
+        for moved_in, (before, space) in zip((0.0, *MAP_STEPS_IN), pairwise(spaces), strict=False):
             if space < min(before, MAP_MARGIN_IN):
                 return moved_in
         return inf
