@@ -45,7 +45,7 @@ from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import file_digest
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from nclient.common.arguments import number
 from nclient.errors import NomadError, RecordingError, SnapshotError, version
@@ -373,13 +373,6 @@ class _NeverOpened(Exception):
     """An entry belongs to a connection that is not open."""
 
 
-class Replayer(Protocol):
-    """Follows the entries of a recording, and returns the reply for each recorded one."""
-
-    def follow(self, entry: Entry) -> bytes:
-        """Apply the next entry and return the bytes that the robot sends."""
-
-
 def replay(recording: Recording) -> ReplayResult:
     """Send the requests of a recording to an emulator that starts as its header describes, and compare the replies.
 
@@ -419,7 +412,7 @@ def replay(recording: Recording) -> ReplayResult:
     return ReplayResult(answers, size)
 
 
-def _create_replayer(recording: Recording) -> Replayer:
+def _create_replayer(recording: Recording) -> _ServerReplayer | _InProcessReplayer:
     header = recording.header
     if header.get("real_robots"):
         raise RecordingError(f"{recording.name}: recorded with real robots, which no emulator can repeat; use "

@@ -627,13 +627,12 @@ class Gateway:
             proxy.tick()
 
     def _switch(self, proxy: RealRobotProxy, context: ConnectionContext, *, to_real: bool) -> Reply:
-        assert context.robot_id is not None
         if not proxy.ownership.is_free_for(context):
             return error_reply(REFUSED)
         if proxy.active != to_real:
-            log.warning("robot %d is the %s one from now on", context.robot_id, "real" if to_real else "simulated")
+            log.warning("robot %d is the %s one from now on", context.robot, "real" if to_real else "simulated")
             if to_real:
-                self._simulated(context.robot_id).stop()
+                self._simulated(context.robot).stop()
                 self._emulator.invalidate_state_cache()
             else:
                 proxy.release()

@@ -42,22 +42,17 @@ from enum import Enum, auto
 from heapq import heappop, heappush
 from itertools import count
 from math import inf
-from typing import Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from nclient.faults.inject import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
-from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
-from nserver_emu.server.serial_session import Arrival, FaultController, FaultyChannel, SerialChannel
-from nserver_emu.server.server_state import ServerState
-from nserver_emu.server.session import (
-    CLOSED_RETENTION_S,
-    BaseSession,
-    ClientIdentity,
-    ClientRegistry,
-    CommandHandler,
-    Session,
-)
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder
+from nserver_emu.server.admission import ConnectionTimeouts
+from nserver_emu.server.serial_session import Arrival, FaultyChannel, SerialChannel
+from nserver_emu.server.session import CLOSED_RETENTION_S, BaseSession, ClientIdentity, CommandHandler, Session
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +140,7 @@ class ConnectionHandler(ABC):
     # Address of the client, if it has one.
     host = ""
 
-    def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
+    def __init__(self, server: Daemon, channel: SerialChannel | None = None) -> None:
         self._server = server
         self._loop = asyncio.get_running_loop()
         self._recorder: ConnectionRecorder = NULL_RECORDER
@@ -464,7 +459,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     line = "nserver"
     is_registered = True
 
-    def __init__(self, server: Server) -> None:
+    def __init__(self, server: Daemon) -> None:
         super().__init__(server)
         limits, now_s = server.admission.limits, self._loop.time()
         # Executes the calls of the session.
@@ -641,28 +636,6 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
         self._is_end_logged = True
         self._abort()
-
-
-class Server(Protocol):
-    """The parts of a server that its connections use."""
-
-    # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
-    handler: CommandHandler
-    recorder: TrafficRecorder
-    # Open connections of all kinds; a connection adds and removes itself.
-    connections: set[ConnectionHandler]
-    client_registry: ClientRegistry
-    admission: AdmissionControl
-    faults: FaultController
-    scheduler: FairScheduler
-    # Totals of connections that are closed.
-    closed_answered: int
-    closed_refused: int
-    closed_cpu_s: float
-
-    @property
-    def emulator(self) -> ServerState:
-        """The simulation with the server's settings."""
 
 
 # Scheduling: which job has its turn in which iteration. Nothing below knows bytes or requests.

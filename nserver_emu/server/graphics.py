@@ -27,13 +27,12 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from itertools import takewhile
 from math import floor, hypot
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nserver_emu.server.admission import Limits
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.sensors import points
 
 BLACK: Final = "Black"
 # Colours by number, starting with 1.
@@ -323,28 +322,6 @@ class Traces:
         traces.encoder = {robot_id: Trace.from_state(trace) for robot_id, trace in state.encoder.items()}
         traces._interval = state.interval
         return traces
-
-
-def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graphics) -> dict[str, Any]:
-    """Return each layer by its name, as of now."""
-    # All columns, independent of any connection's settings.
-    laser_points = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
-    return {
-        Layer.ACTUAL_TRACE.value: _track(traces.actual.get(robot_id)),
-        Layer.ENCODER_TRACE.value: _track(traces.encoder.get(robot_id)),
-        Layer.BUMPER.value: robot.bumpers,
-        Layer.INFRARED.value: [] if robot.infrared is None else list(robot.infrared.readings),
-        Layer.SONAR.value: list(robot.sonar.readings_in),
-        Layer.LASER.value: laser_points,
-        Layer.CLIENT.value: [
-            {"figure": shape.figure.value, "numbers": list(shape.numbers), "colour": shape.colour, "xor": shape.xor}
-            for shape in graphics.shapes
-        ],
-    }
-
-
-def _track(trace: Trace | None) -> list[list[float]]:
-    return [] if trace is None else [list(point) for point in trace.points]
 
 
 # tk: speech output of robots.

@@ -64,7 +64,7 @@ from nclient.protocol.types import (
 )
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
-from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers
+from nserver_emu.server.graphics import Graphics, SpeechLog, Traces
 from nserver_emu.server.session import (
     NOT_AVAILABLE,
     CachedStateReply,
@@ -668,13 +668,11 @@ class ServerState:
 
     def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
         """Return the robot that a connection is connected to."""
-        assert context.robot_id is not None
-        return self.simulation.robots[context.robot_id]
+        return self.simulation.robots[context.robot]
 
     def claim_axes(self, context: ConnectionContext, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """Make a connection the owner of axes of its robot, and return the robot."""
-        assert context.robot_id is not None
-        self.axis_ownership.claim(context, context.robot_id, axes)
+        self.axis_ownership.claim(context, context.robot, axes)
         return self.robot_of(context)
 
     def prepare_reply(self, context: ConnectionContext, call: Call | None = None) -> bool:
@@ -725,9 +723,8 @@ class ServerState:
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
-        assert context.robot_id is not None
-        robot = self.simulation.robots[context.robot_id]
-        if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
+        robot = self.robot_of(context)
+        if self.axis_ownership.may_feed_watchdog(context, context.robot, robot):
             robot.feed()
 
     def on_disconnect(self, context: ConnectionContext) -> None:
@@ -768,9 +765,8 @@ class ServerState:
 
     def arm_of(self, context: ConnectionContext) -> Arm:
         """Return the arm of a connection's robot as of now."""
-        assert context.robot_id is not None
-        self.arms.setdefault(context.robot_id, Arm())
-        return self._advance_arm(context.robot_id)
+        self.arms.setdefault(context.robot, Arm())
+        return self._advance_arm(context.robot)
 
     def stop_arm(self, robot_id: int) -> None:
         """Stop the arm of a robot if it was ever used."""
@@ -794,12 +790,11 @@ class ServerState:
         Between two steps a robot changes by commands only: all connections share one snapshot of it, and a connection
         that polls gets the same reply again, which its session has encoded already.
         """
-        assert context.robot_id is not None
-        robot, wire_state = self.simulation.robots[context.robot_id], context.wire_state
-        snapshot = self._snapshots.get(context.robot_id)
+        robot, wire_state = self.robot_of(context), context.wire_state
+        snapshot = self._snapshots.get(context.robot)
         if snapshot is None or snapshot.time_ps != self.simulation.time_ps:
             snapshot = StateSnapshot(robot, self.clock.speed_tenths, self.simulation.time_ps)
-            self._snapshots[context.robot_id] = snapshot
+            self._snapshots[context.robot] = snapshot
         cached = context.cached_state
         # A robot's own lines share mask and laser mode, so another connection may change them.
         if (
@@ -816,7 +811,3 @@ class ServerState:
     def invalidate_state_cache(self) -> None:
         """Discard all state snapshots after a change that is not due to time."""
         self._snapshots.clear()
-
-    def layers(self, robot_id: int) -> dict[str, Any]:
-        """Return what a robot's window shows as plain data (graphics.py). Raise KeyError if there is no such robot."""
-        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)

@@ -146,6 +146,12 @@ class ConnectionContext:
     # True while a person holds the robot: word 44 of its state replies is HELD.
     is_held: bool = False
 
+    @property
+    def robot(self) -> int:
+        """The robot chosen by CONNECT, without which no handler of a robot's command is called."""
+        assert self.robot_id is not None
+        return self.robot_id
+
     def update_last_sent(self, slots: Mapping[int, int]) -> None:
         """Record State slots sent in a reply that is not a state packet."""
         # A new list: the old one may be shared with other connections.

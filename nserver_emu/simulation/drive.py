@@ -144,14 +144,6 @@ class SynchroDrive:
         """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
         return self.translation.velocity_bounds
 
-    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
-        """Return the rates of translation and steering on a segment."""
-        return axis_rates(segment, NO_TRACK)
-
-    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
-        """Return the segment that translation and steering cause; the inverse of `axis_rates`."""
-        return path_segment(duration_s, first, second, NO_TRACK)
-
     def advance(self, dt_s: float) -> float:
         """Advance all axes by dt_s seconds and return the turn of the turret, radians."""
         self.translation.advance(dt_s)
@@ -240,7 +232,7 @@ class DifferentialDrive:
         # 1. The path until a wheel changes its acceleration.
         right_s, *right = self.right.current_phase
         left_s, *left = self.left.current_phase
-        segment = self.path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left))
+        segment = path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left), self.track_in)
         # 2. Until the robot reverses.
         return until_reversal(segment)
 
@@ -259,14 +251,6 @@ class DifferentialDrive:
         """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
         (right_lower, right_upper), (left_lower, left_upper) = self.right.velocity_bounds, self.left.velocity_bounds
         return 0.5 * (right_lower + left_lower), 0.5 * (right_upper + left_upper)
-
-    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
-        """Return the rates of the right and the left wheel on a segment."""
-        return axis_rates(segment, self.track_in)
-
-    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
-        """Return the segment that the right and the left wheel cause; the inverse of `axis_rates`."""
-        return path_segment(duration_s, first, second, self.track_in)
 
     def advance(self, dt_s: float) -> float:
         """Advance both wheels by dt_s seconds and return the turn of the turret: 0, there is none."""

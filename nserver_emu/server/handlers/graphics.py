@@ -112,9 +112,8 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
     arm = server.arm_of(context)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_PER_INCH)
-    assert context.robot_id is not None
     if not _MOTIONS.isdisjoint(modes):
-        server.axis_ownership.claim_arm(context, context.robot_id)
+        server.axis_ownership.claim_arm(context, context.robot)
     return _packet(MOVE_PACKET, _SUCCEEDED)
 
 
@@ -123,8 +122,7 @@ def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     server.arm_of(context).zero()
-    assert context.robot_id is not None
-    server.axis_ownership.claim_arm(context, context.robot_id)
+    server.axis_ownership.claim_arm(context, context.robot)
     return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).is_still() else None
 
 

@@ -95,8 +95,7 @@ def ac(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
 def st(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Stop all axes and the arm."""
     server.claim_axes(context).stop()
-    assert context.robot_id is not None
-    server.stop_arm(context.robot_id)
+    server.stop_arm(context.robot)
 
 
 def lp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:

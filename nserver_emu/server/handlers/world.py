@@ -206,8 +206,7 @@ def place_robot(server: ServerState, context: ConnectionContext, args: tuple[int
         server.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, context.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    assert context.robot_id is not None
-    server.simulation.place(context.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
+    server.simulation.place(context.robot, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 
@@ -231,8 +230,7 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
 
     if not server.pose_requests.open or server.clock.lockstep_s is not None:
         return Reply("configuration", values=here())
-    assert context.robot_id is not None
-    poll_pose = server.pose_requests.add(context.robot_id, context, here)
+    poll_pose = server.pose_requests.add(context.robot, context, here)
 
     def poll() -> Reply | None:
         pose = poll_pose()
