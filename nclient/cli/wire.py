@@ -22,7 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from inspect import getdoc
 from textwrap import fill
@@ -57,15 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump|dissector", required=True)
     _add_encode(verbs)
     _add_decode(verbs)
-    _add_verb(verbs, "dump", getdoc(_dump) or "")
-    _add_verb(verbs, "dissector", getdoc(_dissector) or "")
+    _add_verb(verbs, "dump", _dump)
+    _add_verb(verbs, "dissector", _dissector)
     _add_protocol(parser)
     parser.set_defaults(line="tcp", model="n150")
 
 
 def _add_encode(verbs: Any) -> None:
     calls = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
-    encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{calls}")
+    encode = _add_verb(verbs, "encode", _encode, f"\n\nCalls:\n\n{calls}")
     encode.add_argument("call", metavar="CALL", help="C name, such as vm, get_sn, special_request")
     encode.add_argument("args", nargs="*", metavar="ARG", help="arguments of the call")
     encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
@@ -74,26 +74,25 @@ def _add_encode(verbs: Any) -> None:
 
 
 def _add_decode(verbs: Any) -> None:
-    decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
+    decode = _add_verb(verbs, "decode", _decode)
     decode.add_argument("hex", nargs="+", metavar="HEX", action=_JoinHex, help="bytes of one frame")
-    decode.add_argument(
-        "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
-    )
+    decode.add_argument("--to", choices=("robot", "host"), default="robot",
+                        help="direction of the frame (default: robot)")  # fmt: skip
     decode.add_argument("--call", metavar="CALL", help="decode as the reply to this call")
-    decode.add_argument(
-        "--mask", type=_mask, default=EVERYTHING, help="44 numbers of the mask in force (default: all on)"
-    )
+    decode.add_argument("--mask", type=_mask, default=EVERYTHING,
+                        help="44 numbers of the mask in force (default: all on)")  # fmt: skip
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
 
 
-def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParser:
-    """Add the parser of a verb, with the first line of its description as its help."""
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=description.partition("\n")[0].removesuffix("."),
-        description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def _add_verb(
+    verbs: Any, name: str, execute: Callable[[argparse.Namespace], int], more: str = ""
+) -> argparse.ArgumentParser:
+    """Add the parser of a verb, with the first line of its function's description as its help."""
+    description = f"{getdoc(execute)}{more}"
+    about = description.partition("\n")[0].removesuffix(".")
+    raw = argparse.RawDescriptionHelpFormatter
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=about, description=description, formatter_class=raw)
+    parser.set_defaults(execute=execute)
     _add_protocol(parser)
     return parser
 
@@ -104,31 +103,16 @@ def _add_protocol(parser: argparse.ArgumentParser) -> None:
     Both may stand before or after the verb, so the parser of `nomad wire` and that of each verb have them. The defaults
     are set by `add_arguments`, once: the parser of the verb comes last, and must not replace what the first one read.
     """
-    parser.add_argument(
-        "--line",
-        choices=WIRES,
-        default=argparse.SUPPRESS,
-        help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)",
-    )
-    parser.add_argument(
-        "--model",
-        choices=tuple(MODELS),
-        default=argparse.SUPPRESS,
-        help="model of the robot on the serial line (default: n150)",
-    )
+    parser.add_argument("--line", choices=WIRES, default=argparse.SUPPRESS,
+                        help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)")
+    parser.add_argument("--model", choices=tuple(MODELS), default=argparse.SUPPRESS,
+                        help="model of the robot on the serial line (default: n150)")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
     """Run encode, decode, dump or dissector, and return the exit code."""
-    match options.verb:
-        case "encode":
-            return _encode(options)
-        case "decode":
-            return _decode(options)
-        case "dump":
-            return _dump(options)
-        case _:
-            return _dissector()
+    code: int = options.execute(options)
+    return code
 
 
 def _encode(options: argparse.Namespace) -> int:
@@ -249,7 +233,7 @@ def _dump(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _dissector() -> int:
+def _dissector(_options: argparse.Namespace) -> int:
     """Print a dissector for Wireshark and tshark in Lua, generated from the command table.
 
     It shows the Nserver protocol, of 32-bit and 64-bit clients, and the serial protocol over TCP: on the ports 7019

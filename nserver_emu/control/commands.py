@@ -40,7 +40,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import runtime_settings
 from nserver_emu.server.handlers.table import MAX_STEP_MS, Emulator
 from nserver_emu.server.serial_session import FaultController
-from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR, ServerState
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from worlds.world import World
 
 log = logging.getLogger(__name__)
@@ -328,12 +328,8 @@ def _world_text(argument: object) -> tuple[str, str]:
     return _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
 
 
-Change = Callable[[ServerState, Mapping[str, Any]], JsonObject]
-"""A change of the world by the operator, which returns what undoes it."""
-
-
 def _change_of(
-    kind: str, change: Change, usage: str, words: Callable[[str], JsonObject] | None = None
+    kind: str, usage: str, words: Callable[[str], JsonObject] | None = None
 ) -> Callable[[ControlledServer, object], JsonObject]:
     """Return the command that makes and records a change, given as JSON or, where `words` parses them, in words."""
 
@@ -341,7 +337,7 @@ def _change_of(
         if words is not None and isinstance(argument, str) and not argument.lstrip().startswith("{"):
             argument = words(argument)
         wanted = _json_object(argument, usage)
-        result = change(server.emulator, wanted)
+        result = runtime_settings.CHANGES[kind](server.emulator, wanted)
         server.record_change({kind: wanted})
         return result
 
@@ -389,14 +385,13 @@ COMMANDS: Final = (
     ControlCommand("world show", "", "show the current world, as TOML", _show_world),
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle",
-                   _change_of("obstacle", runtime_settings.change_obstacle, runtime_settings.OBSTACLE_USAGE)),
+                   _change_of("obstacle", runtime_settings.OBSTACLE_USAGE)),
     ControlCommand("wall", "JSON", "move (by, to), label (name), remove or add (put) an inner wall",
-                   _change_of("wall", runtime_settings.change_wall, runtime_settings.WALL_USAGE)),
+                   _change_of("wall", runtime_settings.WALL_USAGE)),
     ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON",
-                   _change_of("door", runtime_settings.change_door, runtime_settings.DOOR_USAGE,
-                              runtime_settings.door_words)),
+                   _change_of("door", runtime_settings.DOOR_USAGE, runtime_settings.door_words)),
     ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route",
-                   _change_of("walker", runtime_settings.change_walker, runtime_settings.WALKER_USAGE)),
+                   _change_of("walker", runtime_settings.WALKER_USAGE)),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),
