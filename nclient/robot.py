@@ -21,22 +21,12 @@ from typing import Any, Final, Literal, NamedTuple, Self
 
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
+from nclient.protocol import types
 from nclient.protocol.client_state import READ, RESTART, RING_PACKET, ClientState, RingReadings, parse_ring
 from nclient.protocol.commands import Call
 from nclient.protocol.layouts import MOTION_ARC, MOTION_LINE
 from nclient.protocol.replies import Reply, text_of
-from nclient.protocol.types import (
-    DEFAULT_SONAR_ORDER,
-    DEFAULT_SONAR_RATE,
-    SONAR_RATE_STEP_S,
-    SONAR_SLOTS,
-    Mask,
-    Model,
-    Position,
-    rad_from_tenths,
-    tenths_from_rad,
-    unwrap_word,
-)
+from nclient.protocol.types import SONAR_SLOTS, Mask, Model, Position, rad_from_tenths, tenths_from_rad, unwrap_word
 from nclient.state import (
     WHEEL_IN_PER_DEG,
     AxisCommand,
@@ -460,15 +450,9 @@ class Robot:
         return self._command("conf_tm", _whole_seconds(timeout_s))
 
     def select_sensors(
-        self,
-        *,
-        infrareds: Iterable[int] = RING,
-        sonars: Iterable[int] = RING,
-        bumpers: bool = True,
-        motion: bool = True,
-        compass: bool = True,
-        laser: bool = True,
-    ) -> RobotState:
+        self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
+        motion: bool = True, compass: bool = True, laser: bool = True,
+    ) -> RobotState:  # fmt: skip
         """Select the sensors whose readings replies carry; others keep their last reading. C: ct.
 
         Parameters
@@ -488,14 +472,9 @@ class Robot:
         return self._command("ct", *mask.smask)
 
     def position_data(
-        self,
-        *,
-        infrareds: bool = False,
-        sonars: bool = False,
-        bumpers: bool = False,
-        laser: bool = False,
+        self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False, laser: bool = False,
         compass: bool = False,
-    ) -> RobotState:
+    ) -> RobotState:  # fmt: skip
         """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
         # The order of Position's members: bit 0 infrareds to bit 4 compass.
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
@@ -503,7 +482,8 @@ class Robot:
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
     def configure_sonars(
-        self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER
+        self, *, rate: int | None = None, interval_s: float | None = None,
+        order: Iterable[int] = types.DEFAULT_SONAR_ORDER,
     ) -> RobotState:
         """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn.
 
@@ -527,10 +507,10 @@ class Robot:
             raise TypeError("rate or interval_s, not both")
         if interval_s is not None:
             # The wire has steps of 4 ms.
-            rate = round(interval_s / SONAR_RATE_STEP_S)
-        return self._command("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
+            rate = round(interval_s / types.SONAR_RATE_STEP_S)
+        return self._command("conf_sn", types.DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
 
-    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_SONAR_ORDER) -> RobotState:
+    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = types.DEFAULT_SONAR_ORDER) -> RobotState:
         """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir."""
         return self._command("conf_ir", history, *firing_order(order))
 
@@ -699,13 +679,9 @@ class Robot:
         self._query("delete_obstacle", *_polygon(corners_in, corners_m))
 
     def move_obstacle(
-        self,
-        *,
-        corners_in: Points | None = None,
-        shift_in: tuple[float, float] | None = None,
-        corners_m: Points | None = None,
-        shift_m: tuple[float, float] | None = None,
-    ) -> tuple[tuple[float, float], ...]:
+        self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
+        corners_m: Points | None = None, shift_m: tuple[float, float] | None = None,
+    ) -> tuple[tuple[float, float], ...]:  # fmt: skip
         """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
         # Inches or metres, but the same unit for corners and shift is not required.
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
@@ -789,13 +765,10 @@ class Robot:
         self._query("draw_line", *points_tenths(points_in, points_m), mode)
 
     def draw_arc(
-        self,
-        *,
-        box_in: tuple[float, float, float, float] | None = None,
-        box_m: tuple[float, float, float, float] | None = None,
-        angles_rad: tuple[float, float] = (0.0, math.tau),
+        self, *, box_in: tuple[float, float, float, float] | None = None,
+        box_m: tuple[float, float, float, float] | None = None, angles_rad: tuple[float, float] = (0.0, math.tau),
         mode: int = 1,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Draw an arc of an ellipse. C: draw_arc.
 
         Parameters

@@ -69,16 +69,9 @@ from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.ros import options as ros_options
 from nserver_emu.ros.options import running_ros
-from nserver_emu.server import admission, serial_lines
+from nserver_emu.server import admission, config, serial_lines
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, limits_of, make_room
-from nserver_emu.server.config import (
-    MAX_ROBOTS,
-    MODEL_NAMES,
-    LegacySetup,
-    SimulationConfig,
-    read_setups,
-    robot_placements,
-)
+from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, read_setups, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
@@ -140,7 +133,8 @@ def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
                         help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default: "
                         f"{MODEL_NAMES[0]}); repeatable, for robot 2 and so on")
-    parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
+    count = whole_number("the number of robots", 1, config.MAX_ROBOTS)
+    parser.add_argument("--robots", type=count, default=1, metavar="N",
                         help="number of robots (default: 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
                         help="read a TOML file of models that override or extend the built-in ones")
@@ -430,7 +424,8 @@ def _prepare_acoustics(simulation: Simulation) -> None:
 
 
 async def _serve_with(
-    proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
+    proxies: Mapping[int, RealRobotProxy], setups: config.LegacySetup, options: argparse.Namespace,
+    faults: FaultController,
 ) -> int:
     # 1. Simulation: port and model from the options, else from the setup files, else the defaults.
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)

@@ -665,9 +665,7 @@ class Session:
             # A paused simulation would otherwise make this loop endless.
             stops = 0 if now_s != last_s else stops + 1
             if stops >= _MAX_CLOCK_STOPS:
-                raise ShellError(
-                    "sleep: the clock has stopped; resume a paused simulation with sim_control 2 0"
-                )
+                raise ShellError("sleep: the clock has stopped; resume a paused simulation with sim_control 2 0")
             last_s = now_s
 
     def _wait_for_clock(self, left_s: float) -> None:

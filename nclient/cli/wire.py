@@ -37,19 +37,7 @@ from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.serial_framing import HOST_LIMIT, ROBOT_LIMIT
-from nclient.protocol.types import (
-    CPU_RANGE_V,
-    EVERYTHING,
-    INFRARED_KEYS,
-    MODELS,
-    MOTOR_RANGE_V,
-    NO_MASK_MODELS,
-    SONAR_KEYS,
-    STAMP_KEYS,
-    Mask,
-    get_model,
-    serial_wire_state,
-)
+from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, Mask, get_model, serial_wire_state
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -289,17 +277,15 @@ def _mask(text: str) -> Mask:
 _TABLE_MARK: Final = "--@TABLE@\n"
 # Names of the 45 State slots in Wireshark's filters: nomad.speed, nomad.ir_0, ...
 _SLOTS: Final = (
-    "speed", *INFRARED_KEYS, *SONAR_KEYS, "bumper", "x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret",
-    "motors", "laser_mode", "compass", "state_error",
+    "speed", *types.INFRARED_KEYS, *types.SONAR_KEYS, "bumper", "x", "y", "steer", "turret", "v_trans", "v_steer",
+    "v_turret", "motors", "laser_mode", "compass", "state_error",
 )
 _UNITS: Final = {
     "x": "1/10 in", "y": "1/10 in", "steer": "1/10 deg", "turret": "1/10 deg", "v_trans": "1/10 in/s",
     "v_steer": "1/10 deg/s", "v_turret": "1/10 deg/s", "compass": "1/10 deg", "clock": "ms", "pose_time": "ms",
-    "sensor_time": "ms", **dict.fromkeys(SONAR_KEYS, "in"),
+    "sensor_time": "ms", **dict.fromkeys(types.SONAR_KEYS, "in"),
 }
-_STAMP_PARTS: Final = (
-    "x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret", "pose_time", "sensor_time",
-)
+_STAMP_PARTS: Final = ("x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret", "pose_time", "sensor_time")
 _INTEGERS: Final = {
     "type": "Type", "count": "Words", "word_bits": "Bits of a word", "length": "Length", "checksum": "Checksum",
     "smask": "Smask", "packet_type": "Packet type", "number": "Number", "value": "Value", "code": "Error code",
@@ -339,27 +325,17 @@ def _tables() -> dict[str, Any]:
     return {
         "INTEGER_FIELDS": list(map(list, (_INTEGERS | slots | stamps | arguments).items())),
         "REAL_FIELDS": list(map(list, _REALS.items())),
-        "TEXT_FIELDS": list(map(list, (_TEXTS | {"tk.text": "text (tk)"}).items())),
-        "SLOTS": list(_SLOTS),
-        "STAMP_KEYS": {int(bit): list(keys) for bit, keys in STAMP_KEYS.items()},
-        "EVERYTHING": list(EVERYTHING.smask),
-        "NO_MASK_MODELS": list(NO_MASK_MODELS.smask),
-        "TCP_LINE_MODES": sorted(types.TCP_LINE_MODES),
-        "POINT_MODES": sorted(types.POINT_MODES),
+        "TEXT_FIELDS": list(map(list, (_TEXTS | {"tk.text": "text (tk)"}).items())), "SLOTS": list(_SLOTS),
+        "STAMP_KEYS": {int(bit): list(keys) for bit, keys in types.STAMP_KEYS.items()},
+        "EVERYTHING": list(EVERYTHING.smask), "NO_MASK_MODELS": list(types.NO_MASK_MODELS.smask),
+        "TCP_LINE_MODES": sorted(types.TCP_LINE_MODES), "POINT_MODES": sorted(types.POINT_MODES),
         "MAX_LASER_READINGS": layouts.MAX_LASER_READINGS,
-        "MAX_OBSTACLE_VERTICES": layouts.MAX_OBSTACLE_VERTICES,
-        "MAX_UNKNOWN_WORDS": codec.MAX_UNKNOWN_WORDS,
-        "MAX_REPLY_WORDS": commands.MAX_REPLY_WORDS,
-        "HOST_LIMIT": HOST_LIMIT,
-        "ROBOT_LIMIT": ROBOT_LIMIT,
-        "CPU_RANGE_V": CPU_RANGE_V,
-        "MOTOR_RANGE_V": MOTOR_RANGE_V,
-        "NAK_TYPE": commands.NAK_TYPE,
-        "ERROR_TYPE": commands.ERROR_TYPE,
-        "ERROR_LAYOUT": _tcp_layout(shape.ERROR),
-        "SAME_SHAPE": wire.SAME_SHAPE,
+        "MAX_OBSTACLE_VERTICES": layouts.MAX_OBSTACLE_VERTICES, "MAX_UNKNOWN_WORDS": codec.MAX_UNKNOWN_WORDS,
+        "MAX_REPLY_WORDS": commands.MAX_REPLY_WORDS, "HOST_LIMIT": HOST_LIMIT, "ROBOT_LIMIT": ROBOT_LIMIT,
+        "CPU_RANGE_V": CPU_RANGE_V, "MOTOR_RANGE_V": MOTOR_RANGE_V, "NAK_TYPE": commands.NAK_TYPE,
+        "ERROR_TYPE": commands.ERROR_TYPE, "ERROR_LAYOUT": _tcp_layout(shape.ERROR), "SAME_SHAPE": wire.SAME_SHAPE,
         "BY_REPLY_TYPE": {number: [_tcp_layout(one) for one in found] for number, found in wire.BY_REPLY_TYPE.items()},
-    }
+    }  # fmt: skip
 
 
 def _indexes() -> str:
@@ -383,20 +359,13 @@ def _label(name: str) -> str:
 def _row(row: Command) -> dict[str, Any]:
     """Return a row of the command table as the Lua program needs it."""
     entry: dict[str, Any] = {
-        "name": row.name,
-        "arguments": [_argument_field(row, argument.name) for argument in row.arguments],
-        "any_length": row.any_length,
-        "words": list(row.tcp_words),
-        "has_reply": row.has_tcp_reply and row.tcp_type is not None,
-        "reply": _tcp_layout(row.tcp_reply),
-        "reply_type": commands.REPLY_TYPES[row.tcp_reply],
-        "line_type": row.line_type,
-        "line_kind": row.line_reply.kind,
-        "line_reply": list(_line_parts(row.line_reply)),
-        "models": dict.fromkeys(sorted(row.line_models), True),
-        "only_n200": row.line_models == commands.N200,
-        "flags": [argument.is_flag for argument in row.arguments],
-    }
+        "name": row.name, "arguments": [_argument_field(row, argument.name) for argument in row.arguments],
+        "any_length": row.any_length, "words": list(row.tcp_words),
+        "has_reply": row.has_tcp_reply and row.tcp_type is not None, "reply": _tcp_layout(row.tcp_reply),
+        "reply_type": commands.REPLY_TYPES[row.tcp_reply], "line_type": row.line_type, "line_kind": row.line_reply.kind,
+        "line_reply": list(_line_parts(row.line_reply)), "models": dict.fromkeys(sorted(row.line_models), True),
+        "only_n200": row.line_models == commands.N200, "flags": [argument.is_flag for argument in row.arguments],
+    }  # fmt: skip
     # Arguments that are not one word or one field each.
     match row.tcp_request:
         case layouts.TcpMask():

@@ -19,26 +19,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from nclient.errors import WireError
-from nclient.protocol import client_state, codec, serial_framing
+from nclient.protocol import client_state, codec, serial_framing, types
 from nclient.protocol import replies as shape
 from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
 from nclient.protocol.codec import TcpFrame, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
 from nclient.protocol.replies import LINE_STATE, Reply, TcpLayout
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    CPU_RANGE_V,
-    MODELS,
-    MOTOR_RANGE_V,
-    N150,
-    N200,
-    SCOUT,
-    Model,
-    WireState,
-    serial_wire_state,
-    tcp_wire_state,
-    volts,
-)
+from nclient.protocol.types import N150, N200, SCOUT, Model, WireState, serial_wire_state, tcp_wire_state, volts
 
 WIRES = ("tcp", "tcp64", "serial")
 """Protocols: Nserver's for 32-bit and 64-bit clients, and the robot's own serial line."""
@@ -155,13 +142,10 @@ def describe_client_state(client_state: ClientState) -> dict[str, Any]:
     """Return the client's state as a dictionary, None where unset. Volts as single-precision floats, as in C."""
     cpu, motors = client_state.volts or (None, None)
     return {
-        "State": list(client_state.slots),
-        "Laser": None if client_state.laser is None else list(client_state.laser),
-        "positions": {name: list(stamp) for name, stamp in client_state.stamps.items()},
-        "clock": client_state.clock,
-        "volt_cpu": _shown_volts(cpu, CPU_RANGE_V),
-        "volt_motor": _shown_volts(motors, MOTOR_RANGE_V),
-    }
+        "State": list(client_state.slots), "Laser": None if client_state.laser is None else list(client_state.laser),
+        "positions": {name: list(stamp) for name, stamp in client_state.stamps.items()}, "clock": client_state.clock,
+        "volt_cpu": _shown_volts(cpu, types.CPU_RANGE_V), "volt_motor": _shown_volts(motors, types.MOTOR_RANGE_V),
+    }  # fmt: skip
 
 
 def _shown_volts(raw: int | None, full_range_v: float) -> float | None:
@@ -313,7 +297,7 @@ def guess_model(data: bytes) -> Model | None:
     # An N150 and a Scout send packets of the same length; the bumper bits differ.
     fixed = _read(data, N150)
     if fixed is not None:
-        return N150 if fixed.slots[BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
+        return N150 if fixed.slots[types.BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
     return N200 if _read(data, N200) or _read(data, N200, _LINE_MODE) else None
 
 
@@ -322,7 +306,7 @@ def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
     guess = guess_model(data) if data is not None else None
     # No guess: name the other models.
     if guess is None:
-        others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
+        others = " or ".join(f"model={name}" for name in types.MODELS if name != model.name)
         return f"is it a {model.name}? Else write {others} in the address"
     if guess is model:
         return ""

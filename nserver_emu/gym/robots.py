@@ -219,5 +219,5 @@ class ConnectedRobot:
 
 
 Robots = BatchRobots | SimulatedRobots | ConnectedRobot
-"""Robots that are driven together. `reset` takes a mask (n,) and starts (n, 4), and None continues their random streams;
-`drive` takes speeds and turn rates (n,), and turrets turn with the steering; `body` is that of all of them."""
+"""Robots that are driven together. `reset` takes a mask (n,) and starts (n, 4), and None continues their random
+streams; `drive` takes speeds and turn rates (n,), and turrets turn with the steering; `body` is that of all."""

@@ -173,9 +173,7 @@ async def _ros2(
     from nserver_emu.ros.dds import running_node
 
     domain, interface = domain_id() or 0, options.ros2
-    async with running_node(
-        daemon, options.ros2_distro, domain, config_of(interface), estimates, has_map=has_map
-    ):
+    async with running_node(daemon, options.ros2_distro, domain, config_of(interface), estimates, has_map=has_map):
         if interface != LOOPBACK:
             log.warning("ROS 2 is open to the network, unencrypted and without a password: every program of domain %d "
                         "there can drive the robots", domain)

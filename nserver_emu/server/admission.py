@@ -274,12 +274,9 @@ class AdmissionProtocol(asyncio.Protocol):
     """
 
     def __init__(
-        self,
-        rules: AdmissionRules,
-        present: Callable[[], Collection[str]],
-        new_protocol: Callable[[], asyncio.BaseProtocol],
-        make_room: Callable[[str], bool] = lambda _host: False,
-    ) -> None:
+        self, rules: AdmissionRules, present: Callable[[], Collection[str]],
+        new_protocol: Callable[[], asyncio.BaseProtocol], make_room: Callable[[str], bool] = lambda _host: False,
+    ) -> None:  # fmt: skip
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
         self._make_room = make_room
 

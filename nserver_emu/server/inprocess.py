@@ -154,8 +154,6 @@ def open_address(address: str) -> InProcess:
     parsed: dict[str, Any] = _DEFAULTS | RawAddress(address, SCHEME, once).parse_options(_PARSERS)
     step_s, line, robots = parsed.pop("step_s"), parsed.pop("line"), parsed.pop("robots")
     (robot, start), *others = robot_placements(given.get("robot", ["n150"]), given.get("start", []), robots)
-    setting = SimulationConfig(
-        world=path or DEFAULT_WORLD, robot=robot, start=start, others=tuple(others), **parsed
-    )
+    setting = SimulationConfig(world=path or DEFAULT_WORLD, robot=robot, start=start, others=tuple(others), **parsed)
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
     return (InProcessLine if line else InProcess)(emulator, step_s)

@@ -77,12 +77,9 @@ class PtyConnection(ConnectionHandler):
     session: SerialSession
 
     def __init__(
-        self,
-        daemon: Daemon,
-        robot: RobotLine,
-        terminal: PseudoTerminal,
+        self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
         new_channel: Callable[[], SerialChannel] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(daemon)
         self.robot = robot
         self.line = f"serial:{robot.robot_id}"

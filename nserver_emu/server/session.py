@@ -327,12 +327,9 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
     """
 
     def __init__(
-        self,
-        answer: Answer,
-        name: str = "client",
-        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
-        max_words: int = Limits().frame,
-    ) -> None:
+        self, answer: Answer, name: str = "client",
+        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (), max_words: int = Limits().frame
+    ) -> None:  # fmt: skip
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.

@@ -474,9 +474,7 @@ def _follow(
     return taken_s
 
 
-def _turn_uncounted(
-    robot: np.void, settings: np.void, body_rad: float, counted_rad: float
-) -> None:
+def _turn_uncounted(robot: np.void, settings: np.void, body_rad: float, counted_rad: float) -> None:
     if not settings["has_exact_motion"]:
         robot["pose"][YAW] += body_rad
         robot["pose"][LAG] += (settings["scales"][2] - 1.0) * counted_rad
@@ -564,9 +562,7 @@ def _fire_due(robot: np.void, settings: np.void) -> None:
         _fire_entry(robot, settings, robot["pose"][X], robot["pose"][Y], turret_rad)
 
 
-def _fire_entry(
-    robot: np.void, settings: np.void, x_in: float, y_in: float, turret_rad: float
-) -> None:
+def _fire_entry(robot: np.void, settings: np.void, x_in: float, y_in: float, turret_rad: float) -> None:
     """Fire the next entry of the order at this pose."""
     entry = robot["fired"] % settings["entries"]
     for at in range(settings["starts"][entry], settings["starts"][entry + 1]):
@@ -585,10 +581,7 @@ def _skip_entry(robot: np.void, settings: np.void) -> None:
     robot["due_ps"] += settings["interval_ps"]
 
 
-def _fire(
-    robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float,
-    turret_rad: float,
-) -> None:  # fmt: skip
+def _fire(robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float, turret_rad: float) -> None:
     direction_rad = turret_rad + settings["turned_rad"] + settings["sonar_angles_rad"][sonar_number]
     if settings["has_shifts"]:
         x_in, y_in = shifted(x_in, y_in, direction_rad, settings["shifts_in"][sonar_number])
@@ -677,9 +670,7 @@ def _smallest(values: FloatArray, begin: int, end: int) -> float:
 
 # Compiling.
 
-_SOURCES: Final[tuple[ModuleType, ...]] = (
-    acoustics, axis, collision, drive, odometry, segments, sonar, raycast, rings,
-)  # fmt: skip
+_SOURCES: Final[tuple[ModuleType, ...]] = (acoustics, axis, collision, drive, odometry, segments, sonar, raycast, rings)
 """Modules whose functions are compiled where the loops call them."""
 
 _FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (

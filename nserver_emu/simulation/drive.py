@@ -21,12 +21,7 @@ from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, w
 from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(
-    top_speed=0.0,
-    top_acceleration=1.0,
-    min_acceleration=1.0,
-    speed=0.0,
-    acceleration=1.0,
-    resolution=0.0,
+    top_speed=0.0, top_acceleration=1.0, min_acceleration=1.0, speed=0.0, acceleration=1.0, resolution=0.0
 )
 """The limits of an axis that does not exist: it accepts every command and never moves."""
 
@@ -60,21 +55,16 @@ def axis_rates(segment: ConstantAccelerationSegment, track_in: float) -> tuple[A
     return AxisRate(speed + faster, acceleration + gaining), AxisRate(speed - faster, acceleration - gaining)
 
 
-def path_segment(
-    duration_s: float, first: AxisRate, second: AxisRate, track_in: float
-) -> ConstantAccelerationSegment:
+def path_segment(duration_s: float, first: AxisRate, second: AxisRate, track_in: float) -> ConstantAccelerationSegment:
     """Return the segment that both axes of a drive cause; the inverse of `axis_rates`."""
     velocity_1, acceleration_1 = first
     velocity_2, acceleration_2 = second
     if track_in == NO_TRACK:
         return ConstantAccelerationSegment(duration_s, velocity_1, acceleration_1, velocity_2, acceleration_2)
     return ConstantAccelerationSegment(
-        duration_s,
-        0.5 * (velocity_1 + velocity_2),
-        0.5 * (acceleration_1 + acceleration_2),
-        (velocity_1 - velocity_2) / track_in,
-        (acceleration_1 - acceleration_2) / track_in,
-    )
+        duration_s, 0.5 * (velocity_1 + velocity_2), 0.5 * (acceleration_1 + acceleration_2),
+        (velocity_1 - velocity_2) / track_in, (acceleration_1 - acceleration_2) / track_in,
+    )  # fmt: skip
 
 
 def until_reversal(segment: ConstantAccelerationSegment) -> ConstantAccelerationSegment:
@@ -400,9 +390,7 @@ class Chassis:
         placed = collision.PlacedSegment(self._x_in, self._y_in, self.heading(steering_rad), segment)
         return collision.first_contact(placed, self.body.radius_in, capsules)
 
-    def follow(
-        self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float
-    ) -> tuple[float, float]:
+    def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> tuple[float, float]:
         """Move `time_s` seconds along a segment that starts here; return (dx, dy) in inches."""
         # Moving reduces both bounds by at most the length of the path.
         dx, dy = segment.displacement(steering_rad + self._yaw_rad, time_s)

@@ -141,18 +141,10 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self,
-        rng_factory: RngFactory,
-        start: StartPose,
-        walls: FloatArray,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        now_ps: int = 0,
-        positions: PositionProvider = NO_OTHERS,
-        self_index: int = 0,
-        *,
+        self, rng_factory: RngFactory, start: StartPose, walls: FloatArray, model: RobotModel = N150,
+        setup: RobotSetup = IDEAL, now_ps: int = 0, positions: PositionProvider = NO_OTHERS, self_index: int = 0, *,
         powered: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.rng_factory = rng_factory
         self.model = model
         self.setup = self.initial_setup = setup = apply_model(model, setup)
@@ -208,9 +200,7 @@ class SimulatedRobot:
         )  # fmt: skip
 
     @classmethod
-    def from_state(
-        cls, state: RobotState, rng_factory: RngFactory, walls: FloatArray, now_ps: int
-    ) -> SimulatedRobot:
+    def from_state(cls, state: RobotState, rng_factory: RngFactory, walls: FloatArray, now_ps: int) -> SimulatedRobot:
         """Return the robot of a state at an instant; raise ValueError if there can be none."""
         # 1. Values that a robot is built from.
         state.model.check()

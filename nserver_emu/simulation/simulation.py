@@ -135,14 +135,9 @@ class Simulation:
         return to_s(self.time_ps)
 
     def add_robot(
-        self,
-        robot_id: int,
-        start: StartPose | None = None,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        *,
+        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL, *,
         powered: bool = True,
-    ) -> SimulatedRobot:
+    ) -> SimulatedRobot:  # fmt: skip
         """Put a robot into the world.
 
         Parameters

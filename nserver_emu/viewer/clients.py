@@ -188,9 +188,7 @@ class ViewerClients:
     `to_answer` makes the answer of a call's name and reply; by default the one that pages get.
     """
 
-    def __init__(
-        self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, to_answer: ToAnswer = _answer
-    ) -> None:
+    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, to_answer: ToAnswer = _answer) -> None:
         self._to_answer = to_answer
         self._daemon = daemon
         self._error_boundary = error_boundary

@@ -49,8 +49,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        "the process of the localizer (docs/own-filter.md)")
     group.add_argument("--localize", action="store_true",
                        help="start a localizer of each robot, as Localize on the page does; implies --viewer")
-    group.add_argument("--open-browser", action="store_true",
-                       help="open the page in your browser; implies --viewer")
+    group.add_argument("--open-browser", action="store_true", help="open the page in your browser; implies --viewer")
     group.add_argument("--class", dest="class_file", type=Path, metavar="STUDENTS.csv",
                        help="a class: give each student of the file (name[,token][,robot] per line) a robot and a link "
                        "of the page that drives only that robot; links are written to STUDENTS.links.csv; implies "

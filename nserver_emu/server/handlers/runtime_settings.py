@@ -174,9 +174,7 @@ def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:
     """Return True if points are on the line through two ends."""
     (x1, y1), (x2, y2) = ends
     length = math.dist(*ends)
-    return all(
-        abs((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) <= CORNER_TOLERANCE_IN * length for x, y in points
-    )  # fmt: skip
+    return all(abs((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) <= CORNER_TOLERANCE_IN * length for x, y in points)
 
 
 def is_on_map(points: Sequence[Point]) -> bool:
@@ -304,9 +302,7 @@ def read_world_file(text: str, file: str) -> World:
     return parse_world(text, file, PurePath(file).stem)
 
 
-def put_world(
-    server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False
-) -> World:  # fmt: skip
+def put_world(server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False) -> World:
     """Replace the world; robots keep their poses, where there must be no wall or obstacle.
 
     `world` is that of the text, if it was read before. `places` puts robots without room at the starts of the world.

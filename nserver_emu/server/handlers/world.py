@@ -269,9 +269,7 @@ def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple
     return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)
 
 
-def prepare_prediction(
-    server: ServerState, context: ConnectionContext, args: tuple[int, ...]
-) -> Iterator[None]:
+def prepare_prediction(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Iterator[None]:
     """Read the sensors of a prediction, one in each step; what changes before the reply makes it begin anew."""
     context.prediction = prediction = _predict(server, context, args)
     return prediction.steps

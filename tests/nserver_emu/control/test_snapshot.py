@@ -134,9 +134,10 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
         replies: list[object] = []
         for number in range(6):
             emulator.pass_time(0.23)
-            for robot_id, client in enumerate(clients, start=1):
+            for client in clients:
                 names = ("gs", "get_cp", "get_ir", "get_sn", "get_ls", "get_bp", "sim_truth")
-                replies += [client.ask(name) for name in names] + [emulator.layers(robot_id)]
+                replies += [client.ask(name) for name in names]
+            replies += [emulator.traces.to_state(), emulator.graphics.to_state()]
             if number == 3:
                 clients[2].ask("vm", -80, 50, 0)
             arm = emulator.arms[2]
