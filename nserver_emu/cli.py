@@ -43,16 +43,8 @@ from typing import Final
 
 import numpy as np
 
-from nclient.common import process
-from nclient.common.arguments import (
-    ABOVE_ZERO,
-    Parser,
-    add_flag,
-    add_version,
-    number,
-    protect_coordinates,
-    whole_number,
-)
+from nclient.common import arguments, process
+from nclient.common.arguments import Parser, add_flag, add_version, number, protect_coordinates, whole_number
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError, suggest
 from nclient.recording.format import read_recording
@@ -149,7 +141,7 @@ def _add_time(parser: Parser) -> None:
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
                         f"{MAX_SPEED} (default: 1)")
     add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
-    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
+    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", arguments.ABOVE_ZERO, MAX_LOCKSTEP_S)
     parser.add_argument("--lockstep", type=step, metavar="DT",
                         help="advance simulated time by DT seconds per client request, and only then")
     add_flag(parser, "--allow-control", "allow clients to pause, step and speed up simulated time")

@@ -37,18 +37,11 @@ from nclient.protocol.client_state import ERROR_SLOT, RING_PACKET, STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import Mask, Position, Stamp, WireState, clamp_word, heading_tenths, raw_volts, tenths
+from nserver_emu.server import session
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
 from nserver_emu.server.graphics import Graphics, SpeechLog, Traces
-from nserver_emu.server.session import (
-    NOT_AVAILABLE,
-    CachedStateReply,
-    ConnectionContext,
-    DeferredReplies,
-    DeferredReply,
-    PoseRequests,
-    error_reply,
-)
+from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
@@ -553,12 +546,12 @@ class ServerState:
         self.estop = EStop()
         # Worlds that were exported, by their text, so that they can be restored exactly (runtime_settings.py).
         self.exported_worlds: dict[str, World] = {}
-        self.pose_requests = PoseRequests()
+        self.pose_requests = session.PoseRequests()
         # Mask and laser mode of robots' own lines.
         self._serial_wire_states: dict[int, WireState] = {}
         # The last state snapshot of each robot.
         self._snapshots: dict[int, StateSnapshot] = {}
-        self._deferred = DeferredReplies()
+        self._deferred = session.DeferredReplies()
 
     # Calls.
 

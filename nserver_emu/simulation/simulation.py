@@ -9,17 +9,9 @@ from dataclasses import dataclass
 from math import hypot
 
 from nclient.errors import StartError
+from nserver_emu.simulation import multi_robot
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.multi_robot import (
-    Disc,
-    GroupState,
-    MovingBody,
-    RobotGroup,
-    SimulatedWalker,
-    SpatialHash,
-    WalkerState,
-    update_obstacles,
-)
+from nserver_emu.simulation.multi_robot import Disc, GroupState, MovingBody, RobotGroup, SimulatedWalker, SpatialHash
 from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
@@ -36,7 +28,7 @@ class SimulationState:
     world: WorldState
     robots: dict[int, RobotState]
     group: GroupState
-    walkers: tuple[WalkerState, ...] | None = None
+    walkers: tuple[multi_robot.WalkerState, ...] | None = None
 
 
 class Simulation:
@@ -202,7 +194,7 @@ class Simulation:
     def _set_obstacles(self) -> None:
         """Let bodies touch one another where they are now, if there are several."""
         if len(bodies := self.bodies) > 1:
-            update_obstacles(bodies)
+            multi_robot.update_obstacles(bodies)
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
         """Raise StartError where a robot of this radius touches anything; the message says what.

@@ -20,16 +20,9 @@ from nclient.errors import StartError
 from nclient.protocol.layouts import MOTION_LINE
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
+from nserver_emu.server import session
 from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
-from nserver_emu.server.session import (
-    BAD_VALUES,
-    REFUSED,
-    ClickedPose,
-    ConnectionContext,
-    DeferredReply,
-    done,
-    error_reply,
-)
+from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -224,7 +217,7 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
     """
     robot = server.robot_of(context)
 
-    def here() -> ClickedPose:
+    def here() -> session.ClickedPose:
         at = robot.actual
         return tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad), heading_tenths(at.turret_rad)
 
