@@ -310,19 +310,3 @@ class Utterance(NamedTuple):
     time_s: float
     robot_id: int
     text: str
-
-
-class SpeechLog:
-    """The last texts spoken by robots, oldest first."""
-
-    def __init__(self) -> None:
-        self._utterances: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
-
-    @property
-    def utterances(self) -> tuple[Utterance, ...]:
-        """All stored texts."""
-        return tuple(self._utterances)
-
-    def add(self, utterance: Utterance) -> None:
-        """Append a text."""
-        self._utterances.append(utterance)

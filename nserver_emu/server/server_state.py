@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,7 +41,7 @@ from nclient.protocol.types import Mask, Position, Stamp, WireState, clamp_word,
 from nserver_emu.server import session
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
-from nserver_emu.server.graphics import Graphics, SpeechLog, Traces
+from nserver_emu.server.graphics import MAX_UTTERANCES, Graphics, Traces, Utterance
 from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.axis import Arm
@@ -539,7 +540,8 @@ class ServerState:
         self.graphics = Graphics()
         self.traces = Traces()
         self.traces.update(simulation.time_s, simulation.robots)
-        self.transcript = SpeechLog()
+        # The last texts spoken by robots, oldest first.
+        self.transcript: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
         # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
         self.axis_ownership = AxisOwnership()

@@ -63,7 +63,7 @@ _FAILED, _SUCCEEDED = 0, 1
 
 def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -> Reply:
     """Speak a text, which is appended to the speech log; on the robot's own line the reply is the state."""
-    server.transcript.add(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
+    server.transcript.append(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
     return server.state_reply(context) if context.wire_state.line else done()
 
 
