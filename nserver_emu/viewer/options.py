@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import importlib.util
 import logging
 import sys
 import webbrowser
@@ -19,7 +18,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from nclient.errors import ExtraMissing, NomadError, install_command
+from nclient.errors import NomadError, require_packages
 from nclient.transports.listener import ListenAddress, listen_address_of
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon
@@ -67,17 +66,13 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--method is for the page: give --viewer too, or use nomad localize --method")
 
 
-class ViewerMissing(ExtraMissing):
-    """The page was requested and aiohttp is not installed; the message names the extra."""
-
-
 @asynccontextmanager
 async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """Serve the page as the options require; yield the lines to print.
 
     Raises
     ------
-    ViewerMissing, TokenFileError, ConnectionLost
+    ExtraMissing, TokenFileError, ConnectionLost
         With a remedy; the daemon is closed before.
     """
     if options.viewer is None:
@@ -85,7 +80,7 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
         return
     async with AsyncExitStack() as open_page:
         try:
-            require_aiohttp()
+            require_packages("--viewer", "viewer", "aiohttp")
             from nserver_emu.viewer.classroom import write_links
             from nserver_emu.viewer.http_port import address, load_tokens
             from nserver_emu.viewer.server import serve_viewer
@@ -134,12 +129,6 @@ def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]
         log.warning("robots %s have less than %g in of room ahead: the world %s is small for a class, arena has thirty "
                     "starts", ", ".join(cramped), ROOM_AHEAD_IN, simulation.world.name)
     return students
-
-
-def require_aiohttp() -> None:
-    """Raise ViewerMissing if aiohttp is not installed."""
-    if importlib.util.find_spec("aiohttp") is None:
-        raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
 def parse_own_method(text: str) -> str:
