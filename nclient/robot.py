@@ -19,6 +19,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
+from nclient import state as states
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import types
@@ -27,19 +28,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.layouts import MOTION_ARC, MOTION_LINE
 from nclient.protocol.replies import Reply, text_of
 from nclient.protocol.types import SONAR_SLOTS, Mask, Model, Position, rad_from_tenths, tenths_from_rad, unwrap_word
-from nclient.state import (
-    WHEEL_IN_PER_DEG,
-    AxisCommand,
-    Points,
-    Pose,
-    RobotState,
-    Truth,
-    firing_order,
-    points_tenths,
-    snapshot,
-    state_html,
-    tenths_of,
-)
+from nclient.state import AxisCommand, Points, Pose, RobotState, Truth, points_tenths, tenths_of
 
 RING: Final = range(SONAR_SLOTS)
 _PACKET_HEAD: Final = 4
@@ -135,7 +124,7 @@ class Robot:
         # Replies update the client state, of which every exchange takes an immutable snapshot.
         if backend.greeting is not None:
             self._client_state.apply_reply(backend.greeting)
-        self._state = snapshot(self._client_state, backend.wire_state.model)
+        self._state = states.snapshot(self._client_state, backend.wire_state.model)
 
     def __enter__(self) -> Self:
         return self
@@ -161,7 +150,7 @@ class Robot:
         return self._backend.wire_state.model
 
     def _repr_html_(self) -> str:
-        return state_html(self.state, ", disconnected" if self.closed else "")
+        return states.state_html(self.state, ", disconnected" if self.closed else "")
 
     @property
     def closed(self) -> bool:
@@ -508,11 +497,11 @@ class Robot:
         if interval_s is not None:
             # The wire has steps of 4 ms.
             rate = round(interval_s / types.SONAR_RATE_STEP_S)
-        return self._command("conf_sn", types.DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
+        return self._command("conf_sn", types.DEFAULT_SONAR_RATE if rate is None else rate, *states.firing_order(order))
 
     def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = types.DEFAULT_SONAR_ORDER) -> RobotState:
         """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir."""
-        return self._command("conf_ir", history, *firing_order(order))
+        return self._command("conf_ir", history, *states.firing_order(order))
 
     def configure_compass(self, mode: int) -> RobotState:
         """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp."""
@@ -907,7 +896,7 @@ class Robot:
             return
         self._applied = reply
         self._client_state.apply_reply(reply)
-        self._state = snapshot(self._client_state, self._backend.wire_state.model)
+        self._state = states.snapshot(self._client_state, self._backend.wire_state.model)
         if self._ring_in is not None:
             self._state = replace(self._state, ring_in=self._ring_in)
 
@@ -940,7 +929,7 @@ class Robot:
             return self._command(name, translation, steering, turret)
         self._refuse_axis(name, turret)
         # Truncated as in the C library, so that both send the same bytes.
-        turn = int(steering * WHEEL_IN_PER_DEG)
+        turn = int(steering * states.WHEEL_IN_PER_DEG)
         return self._command(name, translation + turn, translation - turn, 0)
 
     def _set_axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:
