@@ -470,16 +470,13 @@ class FaultyLine:
     def __init__(self, language: Language, injector: Callable[[], Injector]) -> None:
         self.injector = injector
         self._language = language
+        # Time after which an incomplete request is passed on; None for no limit.
+        self.partial_timeout_s = language.partial_timeout_s
 
     @property
     def has_partial_request(self) -> bool:
         """Return True if an incomplete request is buffered."""
         return self._language.requests.pending_bytes > 0
-
-    @property
-    def partial_timeout_s(self) -> float | None:
-        """Return the time after which an incomplete request is passed on; None for no limit."""
-        return self._language.partial_timeout_s
 
     def request(self, data: bytes, now_s: float, whole: bool = False) -> list[Delivery]:
         """Return the deliveries for bytes to the robot; `whole`: they end with a frame, so that none is buffered."""

@@ -88,7 +88,7 @@ class InProcess:
             self._outgoing += self._session.process_requests(max_requests=1)
             # 3. A reply that cannot come because time is paused.
             if self._session.waiting and not self.emulator.clock.step_per_request_s:
-                self.emulator.cancel_deferred(self._session.context)
+                self.emulator.deferred.cancel(self._session.context)
                 self._outgoing += self._session.cancel_deferred(REFUSED)
 
     def receive(self) -> bytes:

@@ -553,7 +553,7 @@ class ServerState:
         self._serial_wire_states: dict[int, WireState] = {}
         # The last state snapshot of each robot.
         self._snapshots: dict[int, StateSnapshot] = {}
-        self._deferred = session.DeferredReplies()
+        self.deferred = session.DeferredReplies()
 
     # Calls.
 
@@ -583,7 +583,7 @@ class ServerState:
             answer = self._execute(call, context)
         # 5. These replies contain State slots: they count as sent for slots that the mask excludes.
         if not isinstance(answer, Reply):
-            return self.defer(context, self.estop.until_held(answer, call, context))
+            return self.deferred.add(context, self.estop.until_held(answer, call, context))
         if name in STATE_QUERIES:
             context.update_last_sent(answer.slots)
         return answer
@@ -606,7 +606,7 @@ class ServerState:
             self.traces.update(self.simulation.time_s, self.simulation.robots)
             for robot_id in self.arms:
                 self._advance_arm(robot_id)
-            self._deferred.poll()
+            self.deferred.poll()
             left_ps -= step_ps
 
     @property
@@ -615,14 +615,6 @@ class ServerState:
         return clock_ms(self.simulation.time_s)
 
     # Deferred replies.
-
-    def defer(self, context: ConnectionContext, poll: DeferredReply) -> DeferredReply:
-        """Register a deferred reply; returns one that is built at the moment it is due."""
-        return self._deferred.add(context, poll)
-
-    def cancel_deferred(self, context: ConnectionContext) -> None:
-        """Drop the deferred replies of a connection."""
-        self._deferred.cancel(context)
 
     # Connections.
 
@@ -690,7 +682,7 @@ class ServerState:
     def on_disconnect(self, context: ConnectionContext) -> None:
         """Stop what a closed connection set in motion, and drop its pending requests."""
         self.invalidate_state_cache()
-        self._deferred.cancel(context)
+        self.deferred.cancel(context)
         self.pose_requests.cancel(context)
         self.axis_ownership.on_disconnect(context, self.simulation.robots)
         for robot_id in self.axis_ownership.release_arms(context):

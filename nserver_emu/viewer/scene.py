@@ -463,10 +463,6 @@ class Broadcaster:
         self.viewers.add(viewer)
         return viewer
 
-    def leave(self, viewer: Viewer) -> None:
-        """Remove a viewer. May be called twice."""
-        self.viewers.discard(viewer)
-
     def notify(self, text: str, *, traffic: bool = False) -> None:
         """Queue a message for all viewers, or for those that watch the traffic."""
         for viewer in self.viewers:
