@@ -593,7 +593,6 @@ class ArmPacket(Adapter):
         head = (Const(size, Int16ul), LINE_BYTE, Const(packet_type, LINE_BYTE))
         super().__init__(Fields(*head, *elements))
         self.octets = size
-        self.elements = elements
 
     def _decode(self, obj: Sequence[int], context: Any, path: str) -> tuple[int, ...]:
         return tuple(obj[3:])

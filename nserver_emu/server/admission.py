@@ -383,8 +383,6 @@ class AcceptErrorHandler:
         # Handles all other errors; None: asyncio does.
         self.previous = previous
         self._spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(2)]
-        self.failed = 0
-        """Number of times that no connection could be accepted."""
 
     def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Handle an error that asyncio reports."""
@@ -395,7 +393,6 @@ class AcceptErrorHandler:
             else:
                 self.previous(loop, context)
             return
-        self.failed += 1
         log.error("no connection can be accepted for a second: %s", error.strerror, extra={"address": "all"})
         self.close()
         with contextlib.suppress(OSError), listener.dup() as port:
