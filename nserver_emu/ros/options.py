@@ -149,13 +149,14 @@ def _rosbridge(
     daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *, has_map: bool
 ) -> AbstractAsyncContextManager[list[str]]:
     require_packages("--rosbridge", "viewer", "aiohttp")
-    from nserver_emu.ros.rosbridge import serve_rosbridge
+    from nserver_emu.ros.rosbridge import RosbridgeServer, serve_rosbridge
     from nserver_emu.viewer.http_port import load_tokens
 
     tokens = None if options.rosbridge_token_file is None else load_tokens(options.rosbridge_token_file)
     host, port = options.rosbridge
     origins = frozenset(options.rosbridge_origin)
-    return serve_rosbridge(daemon, host, port, tokens, has_map=has_map, estimates=estimates, origins=origins)
+    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates, origins=origins)
+    return serve_rosbridge(server, host, port)
 
 
 @asynccontextmanager

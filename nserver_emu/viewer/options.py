@@ -83,16 +83,18 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
             require_packages("--viewer", "viewer", "aiohttp")
             from nserver_emu.viewer.classroom import write_links
             from nserver_emu.viewer.http_port import address, load_tokens
-            from nserver_emu.viewer.server import serve_viewer
+            from nserver_emu.viewer.server import ViewerServer, serve_viewer
 
             token_file = options.viewer_token_file
             tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
             students = require_robots(options, daemon)
-            lines = await open_page.enter_async_context(
-                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method,
-                             localizes=options.localize)
-            )
+            server = ViewerServer(daemon, tokens, students)
+            server.controller.localizers.model_file = options.model_file
+            server.controller.localizers.own_methods = tuple(options.method)
+            lines = await open_page.enter_async_context(serve_viewer(server, host, port))
+            if options.localize:
+                server.controller.localizers.start_all()
             if options.open_browser:
                 # In a thread: some browsers return only when they are closed. Without one, the address is printed.
                 asyncio.get_running_loop().run_in_executor(None, webbrowser.open, lines[0].split()[-1])
