@@ -154,11 +154,6 @@ class TcpFramer:
         message_type, count = _HEADER.unpack_from(self._buffer)
         return message_type in _CONNECT_TYPES and len(self._buffer) == _HEADER.size + _WORD_SIZE * count
 
-    def reread_as_narrow(self) -> list[TcpFrame | InvalidFrame]:
-        """Read the buffer as messages of a 32-bit client, and return them."""
-        self.wide = False
-        return self.receive(b"")
-
     def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
         """Add bytes, and return the frames and rejected frames that they complete, in order."""
         if self._lost and self._drop_after_loss:

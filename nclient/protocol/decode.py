@@ -15,7 +15,6 @@ Also here: guessing the robot's model from a state packet that does not fit, for
 
 import struct
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 from nclient.errors import WireError
@@ -115,10 +114,11 @@ class WireDecoder:
             mask = list(answer.mask.smask)
             return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
         # 2. A reply changes the client's state, which is shown as a whole.
-        self.client_state.apply_reply(answer.reply)
+        reply, name = answer
+        self.client_state.apply_reply(reply)
         # A 64-bit client stores words without sign extension.
-        reply = zero_extend(answer.reply) if self._wide else answer.reply
-        fields = describe_client_state(self.client_state) | _reply_values(reply, answer.name)
+        shown = zero_extend(reply) if self._wide else reply
+        fields = describe_client_state(self.client_state) | _reply_values(shown, name)
         return {"to": "host", "reply": reply.kind} | fields
 
 
@@ -192,14 +192,6 @@ def _arm_values(values: list[int], name: str | None) -> dict[str, int]:
     return fields
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """A reply, and the C name of its request if that is certain."""
-
-    reply: Reply
-    name: str | None
-
-
 class _TcpEnds:
     """Nserver over TCP: replies do not name their request, so the outstanding requests are queued."""
 
@@ -215,7 +207,8 @@ class _TcpEnds:
         if row.has_tcp_reply and row.tcp_type is not None:
             self._outstanding.append((row, self.wire_state.copy()))
 
-    def answer(self, data: bytes) -> _Answer:
+    def answer(self, data: bytes) -> tuple[Reply, str | None]:
+        """Return a reply, and the C name of its request if that is certain."""
         # 1. One frame.
         frame = codec.parse_single_frame(data, reply_bounds, self.wire_state.wide)
         # 2. The first outstanding request that fits; earlier ones got no reply and are discarded.
@@ -224,9 +217,9 @@ class _TcpEnds:
             if reply:
                 for _ in range(place + 1):
                     self._outstanding.popleft()
-                return _Answer(reply, row.name)
+                return reply, row.name
         # 3. No outstanding request fits: the type alone decides.
-        return _Answer(self._by_type(frame), None)
+        return self._by_type(frame), None
 
     def _by_type(self, frame: TcpFrame) -> Reply:
         *others, last = BY_REPLY_TYPE[SAME_SHAPE.get(frame.type, frame.type)]
@@ -264,7 +257,7 @@ class _LineEnds:
     def expect(self, row: Command) -> None:
         self._request = row
 
-    def answer(self, data: bytes) -> _Answer | client_state.Handshake:
+    def answer(self, data: bytes) -> tuple[Reply, str | None] | client_state.Handshake:
         try:
             frame = serial_framing.parse_single_frame(data)
             reply = codec.decode_serial_reply(frame, self.wire_state)
@@ -282,7 +275,7 @@ class _LineEnds:
         row = BY_LINE_TYPE.get(frame.type)
         if self._request and self._request.line_type == frame.type:
             row = self._request
-        return _Answer(reply, row.name if row else None)
+        return reply, row.name if row else None
 
 
 _Ends = _TcpEnds | _LineEnds

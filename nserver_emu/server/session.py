@@ -374,7 +374,8 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         """Read an incomplete CONNECT as one to robot 0, because the rest of a 64-bit message has not come."""
         if self._framer.may_be_narrow:
             log.warning("%s: connects to robot 0; the numbers of robots begin with 1", self.name, extra=self.log_extra)
-            self._queue.extend(self._framer.reread_as_narrow())
+            self._framer.wide = False
+            self._queue.extend(self._framer.receive(b""))
 
     def _identify(self, head: bytes) -> None:
         """Continue the session of another connection if this one does not start with CONNECT."""
