@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.base import LocalizationConfig, measurement_model
+from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import (
     HEADING,
     POSE,
@@ -169,7 +169,7 @@ def _likelihood(
 # 2. The filter.
 
 
-class CalibratingFilter:
+class CalibratingFilter(Filter):
     """Extended Kalman filter over the long state; see the head of this file.
 
     Parameters

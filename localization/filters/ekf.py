@@ -5,10 +5,10 @@
     method, model             echoes of a ring              predicts by               corrects by
     ekf, rays                 filter_ring                   odometry.predict_state    sonar_ray.update_by_ray
     ekf, cones                filter_ring                   odometry.predict_state    sonar_cone.update_by_cone
-    ekf, walls with levels    process_each, one by one      odometry.predict_state    update.pda_update, update.linear
-    iekf                      process_each, one by one      odometry.predict_state    update.pda_update, update.iterated
-    ukf                       process_each, one by one      ukf.predict_state         update.pda_update, ukf.unscented
-    smoother                  process_each, one by one      odometry.predict_state    as ekf
+    ekf, walls with levels    Filter.process                odometry.predict_state    update.pda_update, update.linear
+    iekf                      Filter.process                odometry.predict_state    update.pda_update, update.iterated
+    ukf                       Filter.process                ukf.predict_state         update.pda_update, ukf.unscented
+    smoother                  Filter.process                odometry.predict_state    as ekf
 
 `filter_loop` has `filter_ring`, and `filter_state` from the echoes to the estimate that is reported. numba compiles it
 where that is wanted (`compiled.filter_of`), with the same results to the bit.
@@ -24,7 +24,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from localization.filters import compiled
-from localization.filters.base import Advance, EncoderRow, NewEcho, advance_each, process_each
+from localization.filters.base import Advance, EncoderRow, Filter, NewEcho
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
@@ -63,7 +63,7 @@ NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
 
-class KalmanFilter:
+class KalmanFilter(Filter):
     """Kalman filter over a pose, odometry parameters, and the errors that all readings have in common.
 
     For each echo, a scalar reading z at the end of a step u = (distance, turn) of the encoders, in order:
@@ -137,7 +137,7 @@ class KalmanFilter:
         # The path of the echoes, as in the table at the head of this file.
         takes_rings = self.TAKES_RINGS and prediction is predict_state
         self._direct = measurement.direct if takes_rings else None
-        """The model, where `filter_state` takes a whole state by it; None: `process_each`, one by one."""
+        """The model, where `filter_state` takes a whole state by it; None: `Filter.process`, one by one."""
         # The monitor of the estimate, and the outcomes that it judges by.
         self._monitor = IntegrityMonitor(limits)
         self._config = filter_config(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
@@ -159,7 +159,6 @@ class KalmanFilter:
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
         self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
-        self.detects_slips = True
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -214,9 +213,9 @@ class KalmanFilter:
     def process(
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
     ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `process_each`."""
+        """Predict to the instant of each echo and update; see `Filter.process`."""
         if not self._direct:
-            outcomes = process_each(self, encoders, poses, echoes)
+            outcomes = super().process(encoders, poses, echoes)
             if self._headings and echoes:
                 self._check_heading(poses, echoes)
             return outcomes
@@ -227,7 +226,7 @@ class KalmanFilter:
     ) -> Advance:
         """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
         if not self._config:
-            return advance_each(self, encoders, poses, echoes, clock_std_s)
+            return super().advance(encoders, poses, echoes, clock_std_s)
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
         (low_in, high_in), ranges = self._limits_in, echoes
         if len(echoes) > 1:

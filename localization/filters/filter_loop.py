@@ -103,7 +103,7 @@ class StateInput(NamedTuple):
     Attributes
     ----------
     encoders, poses, echoes
-        As in `base.process_each`.
+        As in `base.Filter.process`.
     clock_std_s
         As in `odometry.clock_lag`.
     detects_slips
@@ -200,7 +200,7 @@ def filter_ring(
     slip_sums
         Of `health.SlipTest`; without rows, slips are not looked for.
     encoders, poses, echoes
-        As in `base.process_each`.
+        As in `base.Filter.process`.
     correct
         The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
     """

@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.base import Place
+from localization.filters.base import Filter, Place
 from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
@@ -172,7 +172,7 @@ def is_wide(belief: Belief) -> bool:
     return bool((belief.std[:POSE] > (WIDE_IN, WIDE_IN, WIDE_RAD)).any())
 
 
-class GlobalLocalizer:
+class GlobalLocalizer(Filter):
     """Extended Kalman filter that detects when it is lost, and searches the map; see the head of this file.
 
     Parameters

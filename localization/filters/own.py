@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho
+from localization.filters.base import EncoderRow, Filter, LocalizationConfig, NewEcho
 from localization.filters.belief import POSE, Belief
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, add_lag, pose_at, predict, relative_step
@@ -101,8 +101,8 @@ class OwnFilter(Protocol):
 OwnFactory = Callable[[LocalizationConfig, Belief], OwnFilter]
 
 
-class OwnFilterAdapter:
-    """A filter of a user with the interface of `base.Filter` and `base.RingFilter`.
+class OwnFilterAdapter(Filter):
+    """A filter of a user with the interface of `base.Filter`.
 
     Its health is judged by the innovations that `update` returns. The estimate at a state, after the last echo, is
     predicted by the odometry model of this package from the filter's x and P.
@@ -143,7 +143,7 @@ class OwnFilterAdapter:
     def process(
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
     ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `base.process_each`."""
+        """Predict to the instant of each echo and update; see `base.Filter.process`."""
         outcomes = []
         _, x, y, heading, _ = encoders
         for instant_s, sonar, reading_in in echoes:

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters.base import Filter
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
@@ -212,7 +213,7 @@ class MonteCarlo:
     resample_threshold: float = 0.5
 
 
-class ParticleFilter:
+class ParticleFilter(Filter):
     """Particle filter over poses, or states with odometry parameters.
 
     Parameters

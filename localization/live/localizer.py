@@ -10,22 +10,12 @@ time from the robot's clock. Each echo counts once; limits are never ranges.
 from __future__ import annotations
 
 from collections import deque
-from functools import partial
 from math import sqrt
 from typing import Final
 
 import numpy as np
 
-from localization.filters.base import (
-    Disturbable,
-    EncoderRow,
-    Filter,
-    LocalizationConfig,
-    Searching,
-    Smoothing,
-    StateFilter,
-    advance_each,
-)
+from localization.filters.base import EncoderRow, Filter, LocalizationConfig
 from localization.filters.belief import Belief
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS
@@ -80,13 +70,7 @@ class Localizer:
         self._encoders: EncoderRow | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
-        self._advance = (
-            self._filter.advance if isinstance(self._filter, StateFilter) else partial(advance_each, self._filter)
-        )
-        self._disturbable = self._filter if isinstance(self._filter, Disturbable) else None
-        self._searching = self._filter if isinstance(self._filter, Searching) else None
-        self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
-        self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
+        self._instants: deque[float] = deque(maxlen=1 + self._filter.lag)
 
     @property
     def ring(self) -> Ring:
@@ -115,10 +99,9 @@ class Localizer:
         elif now.clock_s > history.latest.clock_s:
             history.add(now, state.touching)
         is_uneven = history.is_uneven
-        if self._disturbable:
-            self._disturbable.detects_slips = not is_uneven
-            if self._slip.rolled_in:
-                self._disturbable.roll_on_spot(self._slip.rolled_in)
+        self._filter.detects_slips = not is_uneven
+        if self._slip.rolled_in:
+            self._filter.roll_on_spot(self._slip.rolled_in)
         # 2. Every new echo: predict to the pose of its instant, update. Then the estimate now: predicted from the last
         #    echo, widened by the uncertain instants.
         late_s, clock_std_s = (history.clock_late_s, history.clock_rms_s) if is_uneven else (0.0, LAG_STD_S)
@@ -128,11 +111,10 @@ class Localizer:
             for sonar, instant_s in self._schedule.readable(self._last_echo_s, latest.clock_s, late_s)
         ]
         poses = history.since(new[0][0] if new else latest.clock_s)
-        outcomes, self._encoders, belief = self._advance(self._encoders, poses, new, clock_std_s)
+        outcomes, self._encoders, belief = self._filter.advance(self._encoders, poses, new, clock_std_s)
         if new:
             self._last_echo_s = new[-1][0]
-        if self._smoothing:
-            self._instants.extend([instant_s for instant_s, _, _ in new])
+        self._instants.extend([instant_s for instant_s, _, _ in new])
         # 3. What else the filter reports.
         echoes = tuple(
             [
@@ -140,6 +122,8 @@ class Localizer:
                 for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
             ]
         )
-        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
-        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
+        past, filter_ = self._filter.smoothed(), self._filter
+        smoothed = Smoothed(self._instants[0], past) if past else None
+        return Estimate(
+            latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places, filter_.informative_turn_rad
+        )

@@ -27,7 +27,7 @@ from urllib.parse import urlsplit
 import msgspec
 import numpy as np
 
-from localization.filters.base import EncoderRow, Filter, NewEcho, Place, RingFilter, Searching, process_each
+from localization.filters.base import EncoderRow, Filter, NewEcho, Place
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import relative_step
@@ -327,10 +327,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
         now = _encoders(row)
         new: list[NewEcho] = [(row.clock_s, sonar, row.sonars_in[sonar]) for sonar in sonars]
         poses = [before, now]
-        if isinstance(localizer, RingFilter):
-            outcomes = localizer.process(before, poses, new)
-        else:
-            outcomes = process_each(localizer, before, poses, new)
+        outcomes = localizer.process(before, poses, new)
         if not new:
             localizer.predict(*relative_step(*before[1:4], *now[1:4]))
         before = now
@@ -338,8 +335,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
             Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
             for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
         )
-        places = localizer.places if isinstance(localizer, Searching) else ()
-        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)
+        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=localizer.places)
         yield RunMoment(estimate, row.odometry, row.truth, 0, row.turret_rad)
 
 
