@@ -28,7 +28,6 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import process_variance, relative_step, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar
-from localization.filters.sonar_ray import RingBody
 from localization.live.run import Run, run_log
 from localization.live.sensor_input import LogRow, new_echoes
 from localization.plot import check_picture, save
@@ -374,7 +373,7 @@ class ResidualStatistics(NamedTuple):
         return self.explained / self.echoes if self.echoes else 0.0
 
 
-def residual_statistics(echoes: Echoes, walls: Floats, ring: RingBody) -> ResidualStatistics:
+def residual_statistics(echoes: Echoes, walls: Floats, ring: Body) -> ResidualStatistics:
     """Return the statistics of the echoes of a run at walls (m, 4), rows x1 y1 x2 y2 in inches."""
     explained, found = np.zeros(len(echoes.sonars), dtype=bool), []
     for wall in walls:
@@ -384,7 +383,7 @@ def residual_statistics(echoes: Echoes, walls: Floats, ring: RingBody) -> Residu
     return ResidualStatistics(tuple(found), len(explained), int(explained.sum()))
 
 
-def residuals_at(echoes: Echoes, wall: Floats, ring: RingBody) -> tuple[Any, Floats]:
+def residuals_at(echoes: Echoes, wall: Floats, ring: Body) -> tuple[Any, Floats]:
     """Return True for the echoes that a wall (4,) explains (k,), and their residuals in inches."""
     # 1. Faces and axes of the sonars, and the foot of the perpendicular from each.
     axes = echoes.poses[:, HEADING] + np.array(ring.sonar_angles_rad)[echoes.sonars]
@@ -411,7 +410,7 @@ def _statistics(residuals: Floats) -> WallStatistics:
     return WallStatistics(len(residuals), float(residuals.mean()), variance**0.5, correlation)
 
 
-def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: RingBody, max_range_in: float) -> Floats:
+def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: Body, max_range_in: float) -> Floats:
     """Return a straight wall (k, 4) for each of these sonars, fitted to where its echoes lie on its axis.
 
     Least squares with Huber's weights, across the direction of the drive; echoes beyond `max_range_in` are left out.

@@ -21,11 +21,11 @@ from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, clock_lag, pose_at, relative_step
 from localization.filters.sonar_cone import ConeModel, ConeSonar, cone_sonar
-from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, RingBody, ray_sonar
+from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, ray_sonar
 from localization.filters.update import MeasurementModel, Outcome, UpdateResult
 from worlds.geometry import lengths
 from worlds.rings import Ring
-from worlds.robots import IDEAL_CALIBRATION, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Body, Calibration
 from worlds.world import World
 
 THESIS_ODOMETRY: Final = OdometryNoise()
@@ -179,7 +179,7 @@ class LocalizationConfig:
     """
 
     walls: npt.ArrayLike
-    body: RingBody
+    body: Body
     odometry: OdometryNoise = THESIS_ODOMETRY
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
@@ -213,7 +213,7 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
 
 def measurement_model(
     walls: npt.ArrayLike,
-    body: RingBody,
+    body: Body,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     range_parameters: int = 0,

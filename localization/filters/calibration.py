@@ -36,7 +36,7 @@ from localization.filters.belief import (
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen_by_lag
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
-from localization.filters.sonar_ray import RaySonar, RingBody, range_variance
+from localization.filters.sonar_ray import RaySonar, range_variance
 from localization.filters.update import (
     INFORMATIVE,
     MeasurementModel,
@@ -47,7 +47,7 @@ from localization.filters.update import (
     result_of,
     update_by_association,
 )
-from worlds.robots import SONARS
+from worlds.robots import SONARS, Body
 
 OFFSET: Final = MAX_STATE
 RING_TURN: Final = OFFSET + 1
@@ -120,7 +120,7 @@ class ConeAim:
     is evaluated at NODES and replaced by its mean and variance (assumed density filtering).
     """
 
-    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar) -> None:
         self._model = ConeModel(walls, body, sonar)
 
     def posterior(self, reading: AimReading) -> tuple[float, float]:

@@ -28,7 +28,14 @@ from localization.filters.base import Advance, EncoderRow, Filter, NewEcho
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
-from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
+from localization.filters.health import (
+    FilterHealth,
+    HealthLimits,
+    IntegrityMonitor,
+    Signs,
+    clear_slips,
+    slip_probability,
+)
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
@@ -126,11 +133,9 @@ class KalmanFilter(Filter):
         limits: HealthLimits | None = None,
     ) -> None:
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
-        self._odometric = measurement.odometric
-        """The model, where it relates an echo to earlier ones and so needs each step: walls with levels."""
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.
-        constant_stds = (*(self._odometric.level_stds if self._odometric else ()), *range_stds)
+        constant_stds = (*measurement.level_stds, *range_stds)
         state = with_constants(belief, constant_stds)
         self._size, self._constants, self._middle_in = len(belief.mean), len(constant_stds), middle_in
         self._has_scale = bool(range_stds)
@@ -151,14 +156,14 @@ class KalmanFilter(Filter):
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
         self._correlated = CorrelatedReadings(as_array=is_compiled)
         self._memory = FilterMemory(
-            self._x, self._P, self._correlated.used, self._monitor.slip.sums, self._monitor.windows
+            self._x, self._P, self._correlated.used, self._monitor.slip_sums, self._monitor.windows
         )
         self._has_slip_test = self._monitor.limits.slip_nats < inf
         noise = self._direct.noise if self._direct else None
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
-        self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
+        self._informative = INFORMATIVE_IN_CLUTTER if measurement.level_stds else INFORMATIVE
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -183,8 +188,9 @@ class KalmanFilter(Filter):
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report: x- = f(x, u), P- = F P F^T + G Q G^T."""
         self._signs = None
-        if self._odometric:
-            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
+        # Walls with levels relate an echo to earlier ones.
+        if self._measurement.level_stds:
+            self._measurement.move(*true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
@@ -206,7 +212,7 @@ class KalmanFilter(Filter):
         if result.refusal in self._informative:
             self._monitor.add(result)
             if self.detects_slips and self._has_slip_test:
-                self._monitor.slip.add(result.innovation_in, result.nis, result.slope)
+                self._monitor.add_innovation(result.innovation_in, result.nis, result.slope)
             self._check_slip()
         return result
 
@@ -258,7 +264,7 @@ class KalmanFilter(Filter):
 
         That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
-        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, self._monitor.slip.slipped
+        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, slip_probability(self._monitor.slip_sums)
         scale = float(self._x[-1]) if self._has_scale else 0.0
         x, P = unpack(self.belief)
         widen_prediction(
@@ -295,7 +301,7 @@ class KalmanFilter(Filter):
         shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
         self._correlated.forget_outliers()
-        self._monitor.slip.reset()
+        clear_slips(self._monitor.slip_sums)
         self._signs = None
         return True
 

@@ -198,7 +198,7 @@ def filter_ring(
     used
         Of `CorrelatedReadings`.
     slip_sums
-        Of `health.SlipTest`; without rows, slips are not looked for.
+        Of `health.IntegrityMonitor`; without rows, slips are not looked for.
     encoders, poses, echoes
         As in `base.Filter.process`.
     correct

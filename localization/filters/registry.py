@@ -31,26 +31,14 @@ from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeModel, ConeSonar
-from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, wall_map
 from localization.filters.surface import SurfaceModel, SurfaceUpdate
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 from nclient.errors import suggest
+from worlds.robots import Body
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
-
-
-# One factory per method; they differ in the rule of the update, the prediction or the form of the belief.
-def _extended(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief)
-
-
-def _iterated(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief, iterated)
-
-
-def _unscented(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief, ukf.unscented, ukf.predict_state)
 
 
 def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
@@ -75,24 +63,20 @@ def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return CalibratingFilter(config, with_parameters(belief, (0.0,) * (MAX_STATE - len(belief.mean))))
 
 
-def _finder(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return finder(config, belief)
-
-
 FINDER: Final = "finder"
 """The method that can begin without a belief."""
 METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
     {
-        "ekf": _extended,
-        "iekf": _iterated,
-        "ukf": _unscented,
+        "ekf": lambda config, belief, _: _kalman(config, belief),
+        "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
+        "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
         "smoother": _smoother,
         "mcl": _particles,
-        FINDER: _finder,
+        FINDER: lambda config, belief, _: finder(config, belief),
         "offsets": _offsets,
     }
 )
-"""Every method by its name."""
+"""Every method by its name; they differ in the rule of the update, the prediction or the form of the belief."""
 DEFAULT_METHOD: Final = "ekf"
 
 
@@ -205,7 +189,7 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
 
 def update_for(
     walls: npt.ArrayLike,
-    body: RingBody,
+    body: Body,
     sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     rule: Rule = linear,

@@ -33,7 +33,6 @@ from localization.filters.sonar_ray import (
     NOMAD,
     WIRE_SONAR,
     RangeNoise,
-    RingBody,
     constant_variance,
     nearest,
     range_variance,
@@ -47,6 +46,7 @@ from localization.filters.update import (
     REFUSALS,
     Association,
     Covariance,
+    DirectModel,
     Outcome,
     Refusal,
     State,
@@ -58,6 +58,7 @@ from localization.filters.update import (
 from worlds.raycast import sort_by_range
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
+from worlds.robots import Body
 
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -472,10 +473,12 @@ def rows_of(around: Reflectors, sonar: ConeSonar) -> tuple[Floats, Floats]:
     return faces, np.column_stack((around.vertices, losses))
 
 
-class ConeModel:
+class ConeModel(DirectModel):
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
-    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar, range_parameters: int = 0) -> None:
+    noise: ConeSonar
+
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, range_parameters: int = 0) -> None:
         self.walls, self.noise = wall_map(walls), sonar
         self.mounts = body.ring.mounts
         around = reflectors(self.walls.segments)

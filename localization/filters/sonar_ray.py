@@ -49,6 +49,7 @@ from localization.filters.update import (
     REFUSALS,
     Association,
     Covariance,
+    DirectModel,
     Outcome,
     Refusal,
     State,
@@ -64,7 +65,7 @@ from worlds.geometry import MAX_LOOP_WALLS
 from worlds.raycast import cast_ray, nearest_wall, sole_wall
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
-from worlds.robots import N150
+from worlds.robots import N150, Body
 
 Codes = npt.NDArray[np.int8]
 
@@ -206,15 +207,6 @@ class SonarRing(Protocol):
     @property
     def sonar_angles_rad(self) -> tuple[float, ...]:
         """Return the direction of each sonar from that of the turret, counter-clockwise."""
-        ...
-
-
-class RingBody(SonarRing, Protocol):
-    """A body with a whole ring; `worlds.robots.Body` has it."""
-
-    @property
-    def ring(self) -> Ring:
-        """Return the sonars."""
         ...
 
 
@@ -499,11 +491,13 @@ def update_by_ray(
     return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in, slope
 
 
-class RayModel:
+class RayModel(DirectModel):
     """Measurement model of sonars whose readings are the range along one ray, or refused by the gate."""
 
+    noise: RaySonar
+
     def __init__(
-        self, walls: npt.ArrayLike, body: RingBody, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
+        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
     ) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
         self.mounts = body.ring.mounts

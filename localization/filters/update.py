@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from math import exp, nan, pi, sqrt
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -197,43 +197,25 @@ class ReadingLimits(Protocol):
         ...
 
 
-@runtime_checkable
-class DirectModel(MeasurementModel, Protocol):
-    """A model with an update of its own by the linear rule."""
+class DirectModel(MeasurementModel):
+    """A model with an update of its own by the linear rule.
 
-    @property
-    def mounts(self) -> Sequence[SonarMount]:
-        """Return the sonars of the ring."""
-        ...
+    Attributes
+    ----------
+    mounts
+        The sonars of the ring.
+    noise
+        Noise of the readings, with their limits.
+    range_parameters
+        RANGE_PARAMETERS if states end with them, else 0.
+    update
+        A function of x, P, mount from the heading, reading, this model, count and outlier fraction.
+    """
 
-    @property
-    def noise(self) -> ReadingLimits:
-        """Return the noise of the readings, with their limits."""
-        ...
-
-    @property
-    def range_parameters(self) -> int:
-        """Return RANGE_PARAMETERS if states end with them, else 0."""
-        ...
-
-    @property
-    def update(self) -> Callable[..., Outcome]:
-        """Return a function of x, P, mount from the heading, reading, this model, count and outlier fraction."""
-        ...
-
-
-@runtime_checkable
-class OdometricModel(MeasurementModel, Protocol):
-    """A model that relates echoes to earlier ones, in buildings full of things that the map does not have."""
-
-    @property
-    def level_stds(self) -> tuple[float, ...]:
-        """Return the prior standard deviations of its own coordinates of the state, before the range parameters."""
-        ...
-
-    def move(self, distance_in: float, turn_rad: float) -> None:
-        """Take note of a step of the robot."""
-        ...
+    mounts: Sequence[SonarMount]
+    noise: ReadingLimits
+    range_parameters: int
+    update: Callable[..., Outcome]
 
 
 def mount_at(mounts: Sequence[Sequence[float]], sonar: int, turret_offset_rad: float) -> SonarMount:
@@ -666,7 +648,14 @@ class MeasurementUpdate:
         self.model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
-        self.odometric = model if isinstance(model, OdometricModel) else None
+
+    @property
+    def level_stds(self) -> tuple[float, ...]:
+        """Prior standard deviations of the model's own coordinates of the state, before the range parameters."""
+        return ()
+
+    def move(self, distance_in: float, turn_rad: float) -> None:
+        """Take note of a step of the robot, for a model that relates echoes to earlier ones."""
 
     def apply(
         self,

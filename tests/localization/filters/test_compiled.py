@@ -96,7 +96,7 @@ def test_compiled_filter_equals_the_plain_one(monkeypatch: pytest.MonkeyPatch) -
     assert fast.health == plain.health
     # The prediction that is reported, widened by all that widens it; the belief stays as it is.
     for filter_ in (fast, plain):
-        filter_._monitor.slip.add(-2.0, 9.0, 1.0)
+        filter_._monitor.add_innovation(-2.0, 9.0, 1.0)
     encoders, poses, _ = drive
     one, other = (filter_.advance(encoders, poses, [], 0.01)[2] for filter_ in (fast, plain))
     np.testing.assert_array_equal(one.mean, other.mean)
