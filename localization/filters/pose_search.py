@@ -23,10 +23,10 @@ from localization.filters import compiled
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.filter_loop import StateInput, filter_config, filter_ring, new_memory
 from localization.filters.health import HealthLimits
-from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
+from localization.filters.odometry import OdometryNoise, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
 from localization.filters.sonar_ray import NOMAD
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
+from localization.filters.update import MeasurementUpdate, Outcome
 
 LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
 """Limits: "so near or nearer", which says little, and "nothing", which contradicts an expected echo."""
@@ -113,16 +113,19 @@ class Alternatives(NamedTuple):
 
 
 class EchoReplay:
-    """Filter beliefs along records, by the loop of the extended Kalman filter where the sonar model has one."""
+    """Filter beliefs along records, by the loop of the extended Kalman filter.
+
+    The measurement is by a model with an update of its own.
+    """
 
     def __init__(self, measurement: MeasurementUpdate, odometry: OdometryNoise) -> None:
-        self._measurement, self.odometry = measurement, odometry
+        assert measurement.direct is not None
+        self._direct, self.odometry = measurement.direct, odometry
 
     @cached_property
     def _compiled(self) -> compiled.CompiledFilter | None:
         """The compiled loop, where that is wanted."""
-        direct = self._measurement.direct
-        return compiled.filter_of(filter_config(self.odometry, direct, HealthLimits())) if direct else None
+        return compiled.filter_of(filter_config(self.odometry, self._direct, HealthLimits()))
 
     def load(self) -> None:
         """Load compiled code now, which takes longer than an update may."""
@@ -140,10 +143,8 @@ class EchoReplay:
         self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
     ) -> list[Outcome]:
         """Filter x, P along records in place, and return the outcome of each."""
-        if not self._measurement.direct:
-            return self._one_by_one(x, P, before, records)
-        # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
-        direct, outcomes = self._measurement.direct, list[Outcome]()
+        # The number of a record is its instant, so a ring's poses are looked up and not interpolated.
+        direct, outcomes = self._direct, list[Outcome]()
         memory = new_memory(x, P, as_array=self._compiled is not None)
         at = (-1.0, *before.tolist(), 0.0)
         for first in range(0, len(records), LAST_RECORDS):
@@ -161,23 +162,6 @@ class EchoReplay:
                     x, P, memory.used, [], at, poses, echoes, self.odometry, direct, direct.update
                 )[0]
             at = poses[-1]
-        return outcomes
-
-    def _one_by_one(
-        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
-    ) -> list[Outcome]:
-        correlated, outcomes = CorrelatedReadings(), list[Outcome]()
-        for record in records:
-            distance_in, turn_rad = step_between(before, record.encoders).tolist()
-            predict_state(x, P, distance_in, turn_rad, self.odometry)
-            correlated.move(distance_in, turn_rad)
-            count = correlated.count(record.sonar, record.turret_offset_rad) + 1
-            outcome = self._measurement.apply(
-                x, P, record.sonar, record.turret_offset_rad, record.reading_in, count
-            )
-            correlated.record(record.sonar, record.turret_offset_rad)
-            outcomes.append(outcome)
-            before = record.encoders
         return outcomes
 
 

@@ -314,16 +314,15 @@ class Mission:
                         retries=retries)  # fmt: skip
         words = f"({x_in:g}, {y_in:g})" + ("" if heading_deg is None else f" {heading_deg:g} deg")
         heading = None if heading_deg is None else radians(heading_deg)
-        self._run_step("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
-        return self.seen
+        return self._run_step("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
 
     def follow(self, points_in: Sequence[Point], *, limit_s: float = inf, retries: int = 0,
                within_in: float = 1.0) -> Seen:  # fmt: skip
         """Drive along straight lines between points, passing all but the last, where the robot stops."""
         goals = read_points("follow", points_in)
         check_arguments("follow", within_in=within_in, limit_s=limit_s, retries=retries)
-        self._run_step("follow", _format_points(goals), lambda: self._drive(goals, None, within_in), limit_s, retries)
-        return self.seen
+        drive = partial(self._drive, goals, None, within_in)
+        return self._run_step("follow", _format_points(goals), drive, limit_s, retries)
 
     def turn(self, heading_deg: float | None = None, *, by_deg: float | None = None, limit_s: float = inf,
              retries: int = 0) -> Seen:  # fmt: skip
@@ -337,20 +336,17 @@ class Mission:
         else:
             target_rad = radians(heading_deg or 0.0)
             words, remaining = f"to {heading_deg:g} deg", partial(angle_difference, second_rad=target_rad)
-        self._run_step("turn", words, lambda: self._turn(remaining), limit_s, retries)
-        return self.seen
+        return self._run_step("turn", words, lambda: self._turn(remaining), limit_s, retries)
 
     def look(self, seconds: float = RING_S) -> Seen:
         """Stand for a time and return the readings."""
         check_arguments("look", seconds=seconds)
-        self._run_step("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
-        return self.seen
+        return self._run_step("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
 
     def wait_for(self, condition: Condition, limit_s: float, words: str = "a condition") -> Seen:
         """Stand until the condition holds. Raises StepFailed if it does not within the limit."""
         check_arguments("wait_for", condition=condition, limit_s=limit_s, words=words)
-        self._run_step("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
-        return self.seen
+        return self._run_step("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
 
     def patrol(self, points_in: Sequence[Point], rounds: int = 1, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Drive to each of the points by the shortest paths, `rounds` times; each point is a step of its own."""
@@ -366,8 +362,7 @@ class Mission:
         """Drive to a point before the dock, turn to it, and drive in slowly until the dock or a contact."""
         check_arguments("dock", x_in=x_in, y_in=y_in, heading_deg=heading_deg, limit_s=limit_s, retries=retries)
         words = f"({x_in:g}, {y_in:g}) {heading_deg:g} deg"
-        self._run_step("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
-        return self.seen
+        return self._run_step("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
 
     def note(self, words: str) -> None:
         """Write a text into the report."""
@@ -376,8 +371,11 @@ class Mission:
 
     # running a step
 
-    def _run_step(self, name: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> None:
-        """Run a step with its retries and report it. Raises StepFailed, and the exception that ended the mission."""
+    def _run_step(self, name: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> Seen:
+        """Run a step with its retries, report it and return what is seen.
+
+        Raises StepFailed, and the exception that ended the mission.
+        """
         # A program that catches MissionOver gets it again from its next step.
         if self.ended is not None:
             raise self.ended
@@ -386,6 +384,7 @@ class Mission:
         with self._reported(name, words) as step:
             while not self._try_step(step, act, limit_s, is_last=step.tries >= retries):
                 self._controller.period()
+        return self.seen
 
     def _try_step(self, step: Step, act: Callable[[], None], limit_s: float, *, is_last: bool) -> bool:
         """Return True if an attempt succeeds. Raises StepFailed if the last one fails."""
