@@ -208,12 +208,9 @@ class GoCommand:
         """Add the options of `nomad go`."""
         add_address(parser)
         parser.add_argument(
-            "--to",
-            type=_parse_goal,
-            required=True,
-            metavar="X,Y[,HEADING]",
+            "--to", type=_parse_goal, required=True, metavar="X,Y[,HEADING]",
             help="drive to this position, inches and degrees",
-        )
+        )  # fmt: skip
         add_value(parser, "--within", "IN", _number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
                   "accept positions within this many inches", STOP_RADIUS_IN)
         add_value(parser, "--time-limit", "S", _number_between(MIN_TIME_S, MAX_TIME_S),

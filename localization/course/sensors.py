@@ -56,14 +56,9 @@ def step_pose(answer: Answer, rng: Rng) -> None:
             ),
         ]
         expect(
-            answer,
-            (pose, distance, turn),
-            drive_arc(pose, distance, turn),
-            (0.02, 0.02, 1e-6),
-            angles=(2,),
-            mistakes=mistakes,
-            hint="Are cosine and sine taken of radians?",
-        )
+            answer, (pose, distance, turn), drive_arc(pose, distance, turn), (0.02, 0.02, 1e-6), angles=(2,),
+            mistakes=mistakes, hint="Are cosine and sine taken of radians?",
+        )  # fmt: skip
 
 
 @task("01", points=2)
@@ -84,13 +79,9 @@ def relative_step(answer: Answer, rng: Rng) -> None:
             ((distance, -turn), "The turn is the heading after minus the heading before."),
         ]
         expect(
-            answer,
-            (before, after),
-            (distance, turn),
-            (0.05, 1e-6),
-            mistakes=mistakes,
+            answer, (before, after), (distance, turn), (0.05, 1e-6), mistakes=mistakes,
             hint="Return the distance along the heading and the turn.",
-        )
+        )  # fmt: skip
 
 
 @task("01")
@@ -236,13 +227,9 @@ def wall_on_the_right(answer: Answer, rng: Rng) -> None:
             ((distance, degrees(angle)), "Radians, please."),
         ]
         expect(
-            answer,
-            (side, ahead),
-            (distance, angle),
-            (0.05, 0.005),
-            mistakes=mistakes,
+            answer, (side, ahead), (distance, angle), (0.05, 0.005), mistakes=mistakes,
             hint="Two points of the wall give its direction.",
-        )
+        )  # fmt: skip
 
 
 @task("03", points=2)
@@ -311,13 +298,9 @@ def fit_scale(answer: Answer, rng: Rng) -> None:
             (np.mean(measured - counted), "The error grows with the distance: a factor, not a difference."),
         ]
         expect(
-            answer,
-            (counted, measured),
-            scale,
-            0.003,
-            mistakes=mistakes,
+            answer, (counted, measured), scale, 0.003, mistakes=mistakes,
             hint="Minimize the squares of measured - scale * counted.",
-        )
+        )  # fmt: skip
 
 
 def _drives(rng: Rng, count: int = 60) -> tuple[np.ndarray, np.ndarray]:

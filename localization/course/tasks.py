@@ -166,15 +166,9 @@ def truth_value(answer: Answer, *arguments: Any) -> bool:
 
 
 def expect(
-    answer: Answer,
-    arguments: tuple[Any, ...],
-    right: Any,
-    tolerance: Any,
-    *,
-    angles: Sequence[int] = (),
-    mistakes: Mistakes = (),
-    hint: str = "",
-) -> None:
+    answer: Answer, arguments: tuple[Any, ...], right: Any, tolerance: Any, *, angles: Sequence[int] = (),
+    mistakes: Mistakes = (), hint: str = "",
+) -> None:  # fmt: skip
     """Raise Wrong unless an answer returns the right numbers.
 
     Parameters

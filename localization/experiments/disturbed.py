@@ -206,14 +206,9 @@ class Disturber:
         late_s = disturbance.clock_s * float(self._clock.random())
         x, y = self._slipped
         return SensorData(
-            state.clock_s + late_s,
-            state.x_in + x,
-            state.y_in + y,
-            state.steering_rad,
-            state.turret_rad,
-            sonars,
+            state.clock_s + late_s, state.x_in + x, state.y_in + y, state.steering_rad, state.turret_rad, sonars,
             state.touching,
-        )
+        )  # fmt: skip
 
     def _biased(self, reading_in: float) -> float:
         low, high = N150.ring.min_range_in, N150.ring.max_range_in

@@ -194,12 +194,10 @@ class ResultCache(Generic[Item, Result]):
 
 
 def run_cached(
-    items: Sequence[Item],
-    cache: ResultCache[Item, Result],
-    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]],
-    tally: Tally,
+    items: Sequence[Item], cache: ResultCache[Item, Result],
+    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
     is_current: Callable[[Item], bool] = lambda _: True,
-) -> dict[Item, Result]:
+) -> dict[Item, Result]:  # fmt: skip
     """Return the results of all runs in order, from the cache (if `is_current`) or by `work`; store each at once."""
     cached = {item: result for item in items if (result := cache.get(item)) is not None and is_current(item)}
     results = dict(cached)

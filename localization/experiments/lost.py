@@ -697,12 +697,8 @@ def _times(spread: tuple[float, float] | None) -> str:
 WORLD: Final = "several_walls"
 # False alarms are rare, so tracking needs the most runs; 300 of 10 min are 50 simulated hours.
 RUNS: Final = {
-    Kind.TRACKING: 300,
-    Kind.KIDNAPPED: 100,
-    Kind.UNKNOWN_START: 100,
-    Kind.WRONG_DOOR: 20,
-    Kind.UNCERTAIN_START: 20,
-}
+    Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100, Kind.WRONG_DOOR: 20, Kind.UNCERTAIN_START: 20,
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -212,12 +212,8 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
 
 
 def measurement_model(
-    walls: npt.ArrayLike,
-    body: Body,
-    sonar: RaySonar | ConeSonar,
-    gate: Gate = STRICT,
-    range_parameters: int = 0,
-) -> MeasurementModel:
+    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, range_parameters: int = 0,
+) -> MeasurementModel:  # fmt: skip
     """Return the measurement model for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     if isinstance(sonar, ConeSonar):
         return ConeModel(walls, body, sonar, range_parameters)

@@ -123,15 +123,10 @@ class KalmanFilter(Filter):
     """False: a subclass needs every prediction of its own."""
 
     def __init__(
-        self,
-        belief: Belief,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-        prediction: Prediction = predict_state,
-        range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0),
-        limits: HealthLimits | None = None,
-    ) -> None:
+        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
+        prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None,
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.

@@ -118,13 +118,9 @@ class StateInput(NamedTuple):
 
 
 def filter_state(
-    memory: FilterMemory,
-    state: StateInput,
-    config: FilterConfig,
-    correct: Callable[..., Outcome],
-    mean: State,
+    memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome], mean: State,
     cov: Covariance,
-) -> tuple[list[Outcome], EncoderRow, Signs]:
+) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
     """Filter by all echoes of a state of the robot, and predict from the last one to the state.
 
     `compiled` compiles this function with all that it calls.
@@ -176,17 +172,9 @@ def filter_state(
 
 
 def filter_ring(
-    x: State,
-    P: Covariance,
-    used: Used,
-    slip_sums: SlipSums,
-    encoders: EncoderRow,
-    poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho],
-    noise: OdometryNoise,
-    model: DirectModel,
-    correct: Callable[..., Outcome],
-) -> tuple[list[Outcome], EncoderRow]:
+    x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow, poses: Sequence[EncoderRow],
+    echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel, correct: Callable[..., Outcome],
+) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
     """Filter x, P by all echoes of a ring in order of time, in place; return their outcomes and the last encoders.
 
     This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists.

@@ -85,12 +85,8 @@ class SequentialTest:
     """
 
     def __init__(
-        self,
-        near: Belief | None,
-        elsewhere: Belief | None,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-    ) -> None:
+        self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         beliefs = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
         self._beliefs = {side: belief for side, belief in beliefs.items() if belief is not None}
@@ -190,16 +186,10 @@ class GlobalLocalizer(Filter):
     """
 
     def __init__(
-        self,
-        belief: Belief | None,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-        poses: PoseSearch,
-        sonar_angles_rad: Sequence[float],
-        parameter_stds: tuple[float, ...] = (),
-        monitor: IntegrityMonitor | None = None,
-        alike: Sequence[Floats] = (),
-    ) -> None:
+        self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise, poses: PoseSearch,
+        sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
+        monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = (),
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         self._replay = EchoReplay(measurement, odometry)
         self._replay.load()

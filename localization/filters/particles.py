@@ -109,14 +109,9 @@ class RayLikelihood(Likelihood):
     """
 
     def __init__(
-        self,
-        walls: npt.ArrayLike,
-        body: Body,
-        sonar: RaySonar,
-        *,
-        outlier_probability: float = 0.05,
+        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
         widen_std_in: float = 0.5,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
         self._walls, self._sonar, self._outlier_probability = wall_map(walls), sonar, outlier_probability
 
@@ -144,14 +139,9 @@ class ConeLikelihood(Likelihood):
     """
 
     def __init__(
-        self,
-        walls: npt.ArrayLike,
-        body: Body,
-        sonar: ConeSonar,
-        *,
-        heading_std_rad: float = 0.03,
+        self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
         widen_std_in: float = 0.5,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
         self._around, self._sonar = reflectors(wall_map(walls).segments), sonar
         self._heading_std = np.array(heading_std_rad)
@@ -215,15 +205,10 @@ class ParticleFilter(Filter):
     """
 
     def __init__(
-        self,
-        states: Floats,
-        likelihood: Likelihood,
-        odometry: OdometryNoise,
-        rng: np.random.Generator,
-        parameters: MonteCarlo | None = None,
-        range_stds: Sequence[float] = (),
+        self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
+        parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
         middle_in: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
         """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
         self._middle_in = np.array(middle_in)

@@ -169,13 +169,9 @@ class EchoReplay:
 
 
 def search(
-    records: Sequence[EchoRecord],
-    table: RangeTable,
-    replay: EchoReplay,
-    parameter_stds: tuple[float, ...] = (),
-    others: Sequence[Hypothesis] = (),
-    prior: Prior | None = None,
-) -> list[Hypothesis]:
+    records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
+    others: Sequence[Hypothesis] = (), prior: Prior | None = None,
+) -> list[Hypothesis]:  # fmt: skip
     """Return all poses that explain the records, the most probable first; none without records or floor.
 
     A symmetric map gives as many hypotheses as it has places that look alike.
@@ -564,12 +560,9 @@ class TableSearch:
     progress = ""
 
     def __init__(
-        self,
-        table: Callable[[], RangeTable],
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
+        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
         store: Callable[[RangeTable], None] = lambda _: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._build, self._replay, self._store = table, EchoReplay(measurement, odometry), store
 
     @cached_property

@@ -267,12 +267,9 @@ def sampled_echoes(
 
 
 def build_range_table(
-    walls: npt.ArrayLike,
-    body: SonarRing,
-    sonar: RaySonar | ConeSonar,
-    clearance_in: float,
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float,
     progress: Callable[[float], None] = lambda _: None,
-) -> RangeTable:
+) -> RangeTable:  # fmt: skip
     """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall.
 
     On a large map the coarse places are computed. `progress` is called with the fraction that is done.
@@ -297,13 +294,9 @@ def build_range_table(
 
 
 def expectation(
-    origin_in: Floats,
-    cell_in: float,
-    number: npt.NDArray[np.int32],
-    walls: npt.ArrayLike,
-    body: SonarRing,
+    origin_in: Floats, cell_in: float, number: npt.NDArray[np.int32], walls: npt.ArrayLike, body: SonarRing,
     sonar: RaySonar | ConeSonar,
-) -> Expect:
+) -> Expect:  # fmt: skip
     """Return what computes the echoes at places of a grid: block by block of neighbouring cells."""
     segments = wall_map(walls).segments
     around = reflectors(segments)

@@ -122,12 +122,9 @@ def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0)
 
 
 def finder(
-    config: LocalizationConfig,
-    belief: Belief | None,
-    parameter_stds: tuple[float, ...] = (),
-    poses: PoseSearch | None = None,
-    alike: Sequence[Floats] = (),
-) -> GlobalLocalizer:
+    config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (),
+    poses: PoseSearch | None = None, alike: Sequence[Floats] = (),
+) -> GlobalLocalizer:  # fmt: skip
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
@@ -188,13 +185,9 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
 
 
 def update_for(
-    walls: npt.ArrayLike,
-    body: Body,
-    sonar: RaySonar | ConeSonar,
-    gate: Gate = STRICT,
-    rule: Rule = linear,
+    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, rule: Rule = linear,
     range_parameters: int = 0,
-) -> MeasurementUpdate:
+) -> MeasurementUpdate:  # fmt: skip
     """Return the measurement update for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     return MeasurementUpdate(measurement_model(walls, body, sonar, gate, range_parameters), rule)
 

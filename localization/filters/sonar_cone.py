@@ -115,15 +115,9 @@ class Reflectors:
     def some(self, walls: Mask, vertices: Mask) -> Reflectors:
         """Return those alone that are selected, (m,) and (v,)."""
         return Reflectors(
-            self.walls[walls],
-            self.corners[walls],
-            self.along[walls],
-            self.normals[walls],
-            self.lengths[walls],
-            self.vertices[vertices],
-            self.square[vertices],
-            self.free[vertices],
-        )
+            self.walls[walls], self.corners[walls], self.along[walls], self.normals[walls], self.lengths[walls],
+            self.vertices[vertices], self.square[vertices], self.free[vertices],
+        )  # fmt: skip
 
 
 def reflectors(segments: npt.ArrayLike) -> Reflectors:
@@ -447,14 +441,9 @@ def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> A
 
 
 def update_by_cone(
-    x: State,
-    P: Covariance,
-    mount: SonarMount,
-    reading_in: float,
-    model: ConeModel,
-    count: int,
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int,
     outlier_fraction: float,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
     if refusal != NONE:
@@ -540,13 +529,9 @@ class _Geometry(NamedTuple):
 
 
 def expected_echoes(
-    poses: Floats,
-    heading_std_rad: Floats,
-    mount: SonarMount,
-    around: Reflectors,
-    sonar: ConeSonar,
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
     walls_in: Floats | None = None,
-) -> ExpectedEchoes:
+) -> ExpectedEchoes:  # fmt: skip
     """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians.
 
     `walls_in` (m', 4) may block the path. Default: all walls of `around`.
@@ -561,13 +546,9 @@ def expected_echoes(
 
 
 def echo_probabilities(
-    poses: Floats,
-    heading_std_rad: Floats,
-    mount: SonarMount,
-    around: Reflectors,
-    sonar: ConeSonar,
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
     walls_in: Floats | None = None,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
 
     Only the j reflectors that are detected from at least one of the poses are included. `walls_in` (m', 4) may block

@@ -157,11 +157,9 @@ PLACE_VAR_IN2: Final = 0.02
 def ray_sonar(ring: Ring) -> RaySonar:
     """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
     return RaySonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0,
-        place_var_in2=PLACE_VAR_IN2,
-        lowest_in=ring.min_range_in,
+        rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2, lowest_in=ring.min_range_in,
         highest_in=ring.max_range_in,
-    )
+    )  # fmt: skip
 
 
 WIRE_SONAR = ray_sonar(NOMAD)
@@ -260,14 +258,9 @@ def row_from(x: Number, y: Number, direction: Number, left_in: float, walls: Wal
 
 
 def only_wall(
-    x: Sequence[float],
-    P: Sequence[Sequence[float]],
-    dx: float,
-    dy: float,
-    walls: WallMap,
-    gate: Gate,
+    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
     left_in: float = 0.0,
-) -> int:
+) -> int:  # fmt: skip
     """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
 
     These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
@@ -382,14 +375,9 @@ def sideways_shift(
 
 
 def predict_beam(
-    x: Sequence[Any],
-    P: Sequence[Sequence[Any]],
-    angle_rad: Any,
-    ring_radius_in: Any,
-    walls: WallMap,
-    gate: Gate,
+    x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap, gate: Gate,
     left_in: float = 0.0,
-) -> BeamPrediction:
+) -> BeamPrediction:  # fmt: skip
     """Return the expected reading of beams at `angle_rad` from the heading.
 
     Parameters
@@ -445,14 +433,9 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 
 
 def update_by_ray(
-    x: State,
-    P: Covariance,
-    mount: SonarMount,
-    reading_in: float,
-    model: RayModel,
-    count: int,
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
     _outlier_fraction: float = 1.0,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
     Parameters
@@ -595,14 +578,9 @@ def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPredic
 
 
 def observe_ring(
-    belief: Belief,
-    angles_rad: Floats,
-    readings_in: Floats,
-    body: SonarRing,
-    walls: WallMap,
-    sonar: RaySonar,
+    belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap, sonar: RaySonar,
     gate: Gate = STRICT,
-) -> Observation:
+) -> Observation:  # fmt: skip
     """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs over poses (..., 3)."""
     # 1. The expected readings; elements of the belief get a dimension for the beams.
     x, P = unpack(Belief(belief.mean[..., None, :], belief.cov[..., None, :, :]))

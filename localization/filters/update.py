@@ -472,14 +472,9 @@ def association_probabilities(
 
 
 def pda_update(
-    x: State,
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    rule: Rule = linear,
-    count: int = 1,
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1,
     outlier_fraction: float = 1.0,
-) -> PdaResult:
+) -> PdaResult:  # fmt: skip
     """Correct x and P by a reading that is of one of k reflectors or an outlier, in place.
 
     The result is the Gaussian with the mean and covariance of the mixture of all hypotheses. With one hypothesis and no
@@ -658,15 +653,9 @@ class MeasurementUpdate:
         """Take note of a step of the robot, for a model that relates echoes to earlier ones."""
 
     def apply(
-        self,
-        x: State,
-        P: Covariance,
-        sonar: int,
-        turret_offset_rad: float,
-        reading_in: float,
-        count: int = 1,
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
         outlier_fraction: float = 1.0,
-    ) -> UpdateResult:
+    ) -> UpdateResult:  # fmt: skip
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
         Parameters
@@ -700,14 +689,9 @@ class MeasurementUpdate:
 
 
 def update_by_association(
-    x: State,
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    rule: Rule,
-    count: int,
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
     outlier_fraction: float = 1.0,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by a reading and its hypotheses, in place."""
     c, s = unit_vector(x[HEADING])
     beta, likelihood, innovation_in, nis, best = pda_update(

@@ -81,13 +81,9 @@ class BackgroundSearch:
     """
 
     def __init__(
-        self,
-        config: LocalizationConfig,
-        *,
-        waits: bool,
-        report: Callable[[str], None] = lambda _: None,
+        self, config: LocalizationConfig, *, waits: bool, report: Callable[[str], None] = lambda _: None,
         folder: Path | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._config, self._waits, self._report, self._folder = config, waits, report, folder or cache_folder()
         self._densities = reading_densities(
             *sampled_echoes(config.walls, config.body, config.sonar, config.clearance_in, SAMPLED_PLACES)
@@ -197,15 +193,9 @@ def cached_search(
 
 @contextmanager
 def filter_on_robot(
-    method: str,
-    config: LocalizationConfig,
-    belief: Belief | None,
-    parameter_stds: tuple[float, ...] = (),
-    *,
-    waits: bool,
-    report: Callable[[str], None] = lambda _: None,
-    alike: Sequence[Floats] = (),
-) -> Iterator[str | Filter]:
+    method: str, config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (), *,
+    waits: bool, report: Callable[[str], None] = lambda _: None, alike: Sequence[Floats] = (),
+) -> Iterator[str | Filter]:  # fmt: skip
     """Provide a method for a Localizer: of `finder` the filter with a background search, of others the name.
 
     Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`,

@@ -56,13 +56,9 @@ class Localizer:
     """
 
     def __init__(
-        self,
-        config: LocalizationConfig,
-        belief: Belief,
-        schedule: FiringSchedule,
-        method: str | Filter = DEFAULT_METHOD,
-        seed: int = 0,
-    ) -> None:
+        self, config: LocalizationConfig, belief: Belief, schedule: FiringSchedule,
+        method: str | Filter = DEFAULT_METHOD, seed: int = 0,
+    ) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring

@@ -218,15 +218,9 @@ class RobotController:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        config: LocalizationConfig,
-        body: Body,
-        belief: Belief,
-        wait: Wait,
-        method: str | Filter = DEFAULT_METHOD,
-        speed_in_s: float = Speeds().translation_in_s,
-    ) -> None:
+        self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
+        method: str | Filter = DEFAULT_METHOD, speed_in_s: float = Speeds().translation_in_s,
+    ) -> None:  # fmt: skip
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
         self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, Speeds().steering_rad_s)
@@ -404,14 +398,9 @@ class Pilot:
     """
 
     def __init__(
-        self,
-        planner: Planner,
-        limits: AxisLimits,
-        obstacles: ObstacleTracker,
-        goals: Sequence[Point],
-        heading_rad: float | None = None,
-        policy: RetryPolicy | None = None,
-    ) -> None:
+        self, planner: Planner, limits: AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
+        heading_rad: float | None = None, policy: RetryPolicy | None = None,
+    ) -> None:  # fmt: skip
         self._planner, self._limits, self._obstacles = planner, limits, obstacles
         self._goals, self._heading_rad = list(goals), heading_rad
         self.policy = policy or RetryPolicy()

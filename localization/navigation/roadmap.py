@@ -465,12 +465,9 @@ class Roadmap:
         own, other = own[rows], 1 - own[rows]
         tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
         return _CircleNodes(
-            2 + 4 * count + 2 * tangents + own,
-            angles[rows, own],
-            points[rows, own],
-            circles[rows, other],
+            2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own], circles[rows, other],
             points[rows, other],
-        )
+        )  # fmt: skip
 
     def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
         """Return the shortest path from start to goal; empty if they are the same point.
