@@ -217,8 +217,10 @@ def main(arguments: Sequence[str]) -> None:
             save(_picture(corridor, echoes, walls, runs[0]), options.picture)
     if options.export:
         _export(corridor, walls, options.export)
+    residuals = {"walls": [wall._asdict() for wall in statistics.walls], "echoes": statistics.echoes,
+                 "explained_fraction": statistics.explained_fraction}  # fmt: skip
     summary = {"rows": options.rows, "seeds": options.seeds, "walls_in": walls.tolist(),
-               "residuals": _residuals_as_json(statistics), "scores": {name: s._asdict() for name, s in scores.items()}}
+               "residuals": residuals, "scores": {name: s._asdict() for name, s in scores.items()}}
     print(json.dumps(summary) if options.json else _text(statistics, scores), flush=True)
 
 
@@ -248,13 +250,6 @@ def _parser() -> argparse.ArgumentParser:
                         help="write log.csv, robot.toml and map.toml for `nomad localize --from`")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print only the numbers, as JSON")
     return parser
-
-
-def _residuals_as_json(statistics: ResidualStatistics) -> dict[str, Any]:
-    return {
-        "walls": [wall._asdict() for wall in statistics.walls], "echoes": statistics.echoes,
-        "explained_fraction": statistics.explained_fraction,
-    }  # fmt: skip
 
 
 def _text(statistics: ResidualStatistics, scores: dict[str, CorridorScore]) -> str:

@@ -24,18 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import START_STD, make_folder
-from localization.experiments.execution import (
-    ResultCache,
-    add_choice,
-    add_execution_options,
-    add_output,
-    code_hash,
-    executor_for,
-    positive,
-    progress,
-    run_cached,
-    text_table,
-)
+from localization.experiments import execution
 from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
 from localization.experiments.lost import GOALS, MARGIN_IN, POSITIONS, START, RandomExplorer, free_positions
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
@@ -49,7 +38,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.control_law import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -417,7 +406,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     for row in rows:
         cells = ["-" if row[key] is None else form(row[key]) for _, key, form in _COLUMNS]
         lines.append([row["disturbance"], row["setup"], row["method"], *cells])
-    return text_table(lines)
+    return execution.text_table(lines)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -432,9 +421,9 @@ def main(arguments: Sequence[str]) -> None:
         Case(row, setup, options.method, seed) for setup in options.setups for seed in seeds for row in options.rows
     ]
     # 2. Make those that the cache does not have.
-    cache = run_cache(options.out / "disturbed", code_hash())
-    with progress(len(cases), "disturbed", "runs") as tally:
-        results = run_cached(cases, cache, executor_for(run, options), tally)
+    cache = run_cache(options.out / "disturbed", execution.code_hash())
+    with execution.progress(len(cases), "disturbed", "runs") as tally:
+        results = execution.run_cached(cases, cache, execution.executor_for(run, options), tally)
     # 3. The table, and the same as a file.
     rows = [
         summarize(
@@ -448,9 +437,9 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def run_cache(folder: Path, code: str) -> ResultCache[Case, Tally]:
+def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, Tally]:
     """Return the cache of runs made by code with this hash."""
-    return ResultCache(
+    return execution.ResultCache(
         folder, code, Tally, lambda case: (f"{case.setup}_{case.method}_{case.seed:04d}", (case, ROWS[case.row]))
     )
 
@@ -463,11 +452,11 @@ def _parser() -> argparse.ArgumentParser:
         "status is OK although the estimate is wrong. Results are cached.",
         epilog="example: python -m localization.experiments disturbed --seeds 2 --setups measured",
     )
-    parser.add_argument("--seeds", type=positive, default=20, metavar="N", help="number of runs per row (default: 20)")
+    add_value(parser, "--seeds", "N", execution.positive, "number of runs per row", 20)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="first seed (default: %(default)s)")
-    add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")
-    add_choice(parser, "--setups", ("noisy", "measured"), ["noisy", "measured"], "setups: rays, and cones")
-    add_choice(parser, "--method", METHODS, DEFAULT_METHOD, "filter")
-    add_execution_options(parser)
-    add_output(parser, Path("out/experiments"), "row")
+    execution.add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")
+    execution.add_choice(parser, "--setups", ("noisy", "measured"), ["noisy", "measured"], "setups: rays, and cones")
+    execution.add_choice(parser, "--method", METHODS, DEFAULT_METHOD, "filter")
+    execution.add_execution_options(parser)
+    execution.add_output(parser, Path("out/experiments"), "row")
     return parser

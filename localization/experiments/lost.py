@@ -28,17 +28,7 @@ from typing import Final
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments.execution import (
-    ResultCache,
-    add_choice,
-    add_execution_options,
-    add_output,
-    code_hash,
-    executor_for,
-    positive,
-    progress,
-    run_cached,
-)
+from localization.experiments import execution
 from localization.experiments.live_trial import BAD, SCENARIOS, START_STD, BadReadings, Scenario, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, independent
@@ -715,9 +705,9 @@ def main(arguments: Sequence[str]) -> None:
         for seed in range(options.first_seed, options.first_seed + (options.runs or RUNS[kind]))
     ]
     # 2. Results, from the cache or by running them.
-    cache = run_cache(options.out / "runs", code_hash())
-    with progress(len(cases), "lost", "runs") as tally:
-        found = summaries(run_cached(cases, cache, executor_for(run, options), tally))
+    cache = run_cache(options.out / "runs", execution.code_hash())
+    with execution.progress(len(cases), "lost", "runs") as tally:
+        found = summaries(execution.run_cached(cases, cache, execution.executor_for(run, options), tally))
     # 3. Summary, as JSON file and as text.
     path = options.out / "lost.json"
     rows = [asdict(summary) for summary in found]
@@ -726,9 +716,9 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {path}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def run_cache(folder: Path, code: str) -> ResultCache[Case, LostResult]:
+def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, LostResult]:
     """Return the cache of runs made by code with this hash."""
-    return ResultCache(folder, code, LostResult, lambda case: (case.name, case))
+    return execution.ResultCache(folder, code, LostResult, lambda case: (case.name, case))
 
 
 def run(case: Case) -> tuple[Case, LostResult]:
@@ -770,11 +760,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="WORLD",
         help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
     )
-    add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
+    execution.add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
-    add_value(parser, "--runs --seeds", "N", positive, f"number of runs of each kind (default: {numbers})")
+    add_value(parser, "--runs --seeds", "N", execution.positive, f"number of runs of each kind (default: {numbers})")
     add_value(parser, "--first-seed", "N", whole_number("the number", 0), "seed of the first run of each kind", 0)
     add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
-    add_execution_options(parser)
-    add_output(parser, Path("out/experiments"), "kind")
+    execution.add_execution_options(parser)
+    execution.add_output(parser, Path("out/experiments"), "kind")
     return parser

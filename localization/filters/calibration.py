@@ -36,10 +36,9 @@ from localization.filters.belief import (
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen_by_lag
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
-from localization.filters.sonar_ray import RaySonar, range_variance
+from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     INFORMATIVE,
-    MeasurementModel,
     Refusal,
     UpdateResult,
     linear,
@@ -188,10 +187,13 @@ class CalibratingFilter(Filter):
         prior.cov[:size, :size] = start.cov
         self._x, self._P = unpack(prior)
         self._odometry, self._sonar = config.odometry, config.sonar
-        self._model = _tolerant(config)
-        self._aim = None
-        if isinstance(config.sonar, ConeSonar):
-            self._aim = ConeAim(config.walls, config.body, config.sonar)
+        sonar, self._aim = config.sonar, None
+        if isinstance(sonar, ConeSonar):
+            self._aim = ConeAim(config.walls, config.body, sonar)
+        else:
+            # The gate of the model leaves room for the offsets; the filter gates afterwards.
+            sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
+        self._model = measurement_model(config.walls, config.body, sonar, config.gate)
         self._monitor = IntegrityMonitor()
         self._threshold = chi_square_quantile(GATE_PROBABILITY, 1)
 
@@ -289,11 +291,3 @@ def _long_derivative(H: Sequence[float], sonar: int, size: int) -> list[float]:
     derivative[RING_TURN] = by_heading
     derivative[OFFSET] = derivative[OWN + sonar] = 1.0
     return derivative
-
-
-def _tolerant(config: LocalizationConfig) -> MeasurementModel:
-    """Return a measurement model whose gate leaves room for the offsets; the filter gates afterwards."""
-    sonar: RaySonar | ConeSonar = config.sonar
-    if isinstance(sonar, RaySonar):
-        sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
-    return measurement_model(config.walls, config.body, sonar, config.gate)

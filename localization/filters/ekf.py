@@ -208,7 +208,9 @@ class KalmanFilter(Filter):
             self._monitor.add(result)
             if self.detects_slips and self._has_slip_test:
                 self._monitor.add_innovation(result.innovation_in, result.nis, result.slope)
-            self._check_slip()
+            # The last readings may agree on a slip of the wheels.
+            if slip_in := self._monitor.take_slip():
+                widen_by_slip(self._x, self._P, slip_in)
         return result
 
     def process(
@@ -272,12 +274,6 @@ class KalmanFilter(Filter):
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
         self._signs = None
         widen_by_rolling(self._x, self._P, distance_in, self._odometry)
-
-    def _check_slip(self) -> None:
-        """Widen the covariance by a slip of the wheels if the last readings agree on one."""
-        slip_in = self._monitor.take_slip()
-        if slip_in:
-            widen_by_slip(self._x, self._P, slip_in)
 
     def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> bool:
         """Correct the heading, and the state with it, if many readings are outliers that agree on another heading.

@@ -634,7 +634,7 @@ def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> flo
         heading = poses[:, HEADING] + turn
         x = poses[:, 0] + along[:, None] * np.cos(heading)
         y = poses[:, 1] + along[:, None] * np.sin(heading)
-        free = np.logical_and.accumulate(table.is_floor(x.ravel(), y.ravel()).reshape(x.shape))
+        free = np.logical_and.accumulate(table.places_at(x.ravel(), y.ravel()).reshape(x.shape) >= 0)
         steps = int(np.count_nonzero(free[:, 0] & (free @ weights >= 0.5)))
         if not steps:
             continue

@@ -146,10 +146,6 @@ class RangeTable:
         found: npt.NDArray[np.int32] = self.number[np.where(inside, row, 0), np.where(inside, column, 0)]
         return np.where(inside, found, np.int32(-1))
 
-    def is_floor(self, x_in: Floats, y_in: Floats) -> npt.NDArray[np.bool_]:
-        """Return True for each point (n,) where the robot fits."""
-        return self.places_at(x_in, y_in) >= 0
-
     def beside(self, places: npt.NDArray[np.intp], x_in: Floats, y_in: Floats) -> npt.NDArray[np.intp]:
         """Return the places (n,) so far beside places (n,), displacements (n,) or (); no place is the last number."""
         columns = np.rint(np.asarray(x_in) / self.cell_in).astype(np.intp)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,14 +19,7 @@ from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import BUILDING, HealthLimits
 from localization.filters.odometry import MAX_STATE, Prediction, predict_state, with_parameters
 from localization.filters.own import SEPARATOR, make_own
-from localization.filters.particles import (
-    ConeLikelihood,
-    Likelihood,
-    MonteCarlo,
-    ParticleFilter,
-    RayLikelihood,
-    draw_particles,
-)
+from localization.filters.particles import ConeLikelihood, MonteCarlo, ParticleFilter, RayLikelihood, draw_particles
 from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
@@ -53,8 +46,10 @@ def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
     parameters = MonteCarlo()
     states = draw_particles(belief, parameters.particles, rng)
+    kind: Any = ConeLikelihood if isinstance(config.sonar, ConeSonar) else RayLikelihood
+    likelihood = kind(config.walls, config.body, config.sonar)
     return ParticleFilter(
-        states, likelihood_of(config), config.odometry, rng, parameters, config.range_stds or (), _middle(config)
+        states, likelihood, config.odometry, rng, parameters, config.range_stds or (), _middle(config)
     )
 
 
@@ -190,10 +185,3 @@ def update_for(
 ) -> MeasurementUpdate:  # fmt: skip
     """Return the measurement update for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     return MeasurementUpdate(measurement_model(walls, body, sonar, gate, range_parameters), rule)
-
-
-def likelihood_of(config: LocalizationConfig) -> Likelihood:
-    """Return the likelihood of particles for sonars of this type."""
-    if isinstance(config.sonar, ConeSonar):
-        return ConeLikelihood(config.walls, config.body, config.sonar)
-    return RayLikelihood(config.walls, config.body, config.sonar)
