@@ -97,13 +97,9 @@ def random_error(answer: Answer, rng: Rng) -> None:
         (np.mean(errors / distances), "Errors of both signs cancel: square them first."),
     ]
     expect(
-        answer,
-        (distances, errors),
-        alpha,
-        0.15 * alpha,
-        mistakes=mistakes,
+        answer, (distances, errors), alpha, 0.15 * alpha, mistakes=mistakes,
         hint="The mean of error squared is alpha times the distance.",
-    )
+    )  # fmt: skip
 
 
 @task("02")
@@ -322,13 +318,9 @@ def fit_turn_and_drift(answer: Answer, rng: Rng) -> None:
             ((true @ turns / (turns @ turns), 0.0), "Driving straight turns the robot, too: the drift is not 0."),
         ]
         expect(
-            answer,
-            (distances, turns, true),
-            (scale, drift),
-            (0.003, 1e-4),
-            mistakes=mistakes,
+            answer, (distances, turns, true), (scale, drift), (0.003, 1e-4), mistakes=mistakes,
             hint="Two unknowns: true = scale * turns + drift * distances. np.linalg.lstsq solves it.",
-        )
+        )  # fmt: skip
 
 
 @task("10", points=2)
@@ -352,13 +344,9 @@ def fit_std(answer: Answer, rng: Rng) -> None:
         (sigma * np.sqrt(np.diag(information)), "More data makes the result more certain: the inverse of A' A."),
     ]
     expect(
-        answer,
-        (distances, turns, sigma),
-        right,
-        0.06 * right,
-        mistakes=mistakes,
+        answer, (distances, turns, sigma), right, 0.06 * right, mistakes=mistakes,
         hint="P = sigma^2 inv(A' A), with the columns turns and distances of A.",
-    )
+    )  # fmt: skip
 
 
 @task("10")

@@ -10,7 +10,6 @@ None of it is part of an update of the robot's filter: a `PoseSearch` does it, i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import inf, log
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters import compiled
+from localization.filters.base import Place
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.filter_loop import StateInput, filter_config, filter_ring, new_memory
 from localization.filters.health import HealthLimits
@@ -79,14 +79,6 @@ class EchoRecord(NamedTuple):
     sonar: int
     turret_offset_rad: float
     reading_in: float
-
-
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """A pose at which the robot may be, as a belief at the last record, and its probability."""
-
-    belief: Belief
-    probability: float
 
 
 class Prior(NamedTuple):
@@ -170,8 +162,8 @@ class EchoReplay:
 
 def search(
     records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
-    others: Sequence[Hypothesis] = (), prior: Prior | None = None,
-) -> list[Hypothesis]:  # fmt: skip
+    others: Sequence[Place] = (), prior: Prior | None = None,
+) -> list[Place]:  # fmt: skip
     """Return all poses that explain the records, the most probable first; none without records or floor.
 
     A symmetric map gives as many hypotheses as it has places that look alike.
@@ -213,8 +205,8 @@ def search(
 
 
 def advanced(
-    hypotheses: Sequence[Hypothesis], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
-) -> list[Hypothesis]:
+    hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
+) -> list[Place]:
     """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
     replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
     return merged(
@@ -225,7 +217,7 @@ def advanced(
     )
 
 
-def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
+def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Place]:
     """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
     # Greedy: a hypothesis absorbs all that are the same pose and less probable.
     ranked = sorted(weighted, key=lambda pair: -pair[1])
@@ -238,7 +230,7 @@ def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
         if not any(_is_same(belief, other) for other, _ in chosen):
             chosen.append((belief, weight))
     total = sum(weight for _, weight in chosen)
-    return [Hypothesis(belief, weight / total) for belief, weight in chosen]
+    return [Place(belief, weight / total) for belief, weight in chosen]
 
 
 def moved(belief: Belief, last: Floats, then: Floats) -> Belief:
@@ -510,7 +502,7 @@ class SearchRequest(NamedTuple):
     """
 
     records: list[EchoRecord]
-    hypotheses: list[Hypothesis] = []  # noqa: RUF012
+    hypotheses: list[Place] = []  # noqa: RUF012
     before: Floats | None = None
     since: list[EchoRecord] = []  # noqa: RUF012
     searches: bool = True
@@ -525,7 +517,7 @@ class SearchResult(NamedTuple):
     `turn_rad` is the turn from the heading of the robot towards where the hypotheses differ soonest.
     """
 
-    hypotheses: list[Hypothesis]
+    hypotheses: list[Place]
     alternatives: Alternatives | None = None
     turn_rad: float | None = None
 
@@ -609,7 +601,7 @@ BEYOND_IN: Final = 1000.0
 """Where no expected reading separates the hypotheses, something that does is as far away as this on average."""
 
 
-def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> float | None:
+def informative_turn(hypotheses: Sequence[Place], table: RangeTable) -> float | None:
     """Return the turn (rad) to the straight drive on which readings are expected to separate the hypotheses soonest.
 
     The value of a drive is the information on the hypotheses that its readings are expected to bring, over its length.

@@ -194,9 +194,7 @@ class Run:
             "trust": last.estimate.health.status.value,
             "reason": last.estimate.health.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
-            "places": [
-                {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
-            ],
+            "places": _places_as_json(last.estimate.places),
             "start": self.start or None,
             "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
@@ -267,6 +265,10 @@ def _format_places(places: Sequence[Place]) -> str:
     """Return the first of some hypotheses as text."""
     poses = [(*place.belief.mean[:3].tolist(), place.probability) for place in places[:MAX_PRINTED_HYPOTHESES]]
     return ", ".join(f"({x:.1f}, {y:.1f}) in {math.degrees(turn):.0f} deg {share:.0%}" for x, y, turn, share in poses)
+
+
+def _places_as_json(places: Sequence[Place]) -> list[dict[str, Any]]:
+    return [{"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in places]
 
 
 class GroundTruth:
@@ -374,10 +376,7 @@ def build_message(robot: int, moment: RunMoment, waypoints: Sequence[tuple[float
         ],
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
         "trust": estimate.health.status.value, "reason": estimate.health.reason,
-        "places": [
-            {"pose": place.belief.mean[:3].tolist(), "share": place.probability}
-            for place in estimate.places[:MAX_HYPOTHESES]
-        ],
+        "places": _places_as_json(estimate.places[:MAX_HYPOTHESES]),
     }  # fmt: skip
 
 
