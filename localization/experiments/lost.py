@@ -389,8 +389,7 @@ def free_positions(world: World) -> Floats:
     # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
-    small: Floats = points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
-    return small
+    return points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
 
 
 def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:

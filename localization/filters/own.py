@@ -79,23 +79,19 @@ class OwnFilter(Protocol):
     @property
     def x(self) -> npt.ArrayLike:
         """Return the estimate: x_in, y_in, heading in radians, and what else the filter estimates."""
-        ...
 
     @property
     def P(self) -> npt.ArrayLike:
         """Return its covariance."""
-        ...
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict after a step that the encoders report: so far along the heading, and so far turned."""
-        ...
 
     def update(self, echo: TimedEcho) -> tuple[float, float] | None:
         """Correct the estimate, which is predicted to the echo's instant.
 
         Return the innovation in inches and its variance S, or None if the echo was not used.
         """
-        ...
 
 
 OwnFactory = Callable[[LocalizationConfig, Belief], OwnFilter]

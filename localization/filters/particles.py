@@ -95,8 +95,7 @@ class Likelihood(ABC):
 
 def _density(residual: Floats, variance: Floats) -> Floats:
     """Return the normal density of a residual."""
-    density: Floats = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    return density
+    return np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
 
 
 class RayLikelihood(Likelihood):

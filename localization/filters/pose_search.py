@@ -532,15 +532,12 @@ class PoseSearch(Protocol):
     @property
     def progress(self) -> str:
         """Reason why a search still waits, in words; "" if it does not."""
-        ...
 
     def density(self, reading_in: float) -> float:
         """Return the probability density of a reading from an unknown pose."""
-        ...
 
     def start(self, request: SearchRequest) -> PendingSearch:
         """Begin a search."""
-        ...
 
 
 class TableSearch:
@@ -654,8 +651,7 @@ def _information(weights: Floats, distances: Floats) -> Floats:
     ----------
     Kolchinsky and Tracey, Estimating mixture entropy with pairwise distances (2017), equation 9.
     """
-    nats: Floats = -np.log(np.exp(-distances) @ weights) @ weights
-    return nats
+    return -np.log(np.exp(-distances) @ weights) @ weights
 
 
 def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -> Floats:
@@ -679,5 +675,4 @@ def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -
         overlap = np.sqrt(one * other) * np.exp(-np.square(apart) / 8.0) + np.sqrt((1.0 - one) * (1.0 - other))
         closest = np.minimum(closest, -np.log(overlap))
     distances: Floats = EVIDENCE_SHARE * closest.sum(axis=-1)
-    least: Floats = np.minimum(distances, np.swapaxes(distances, -1, -2))
-    return least
+    return np.minimum(distances, np.swapaxes(distances, -1, -2))

@@ -367,8 +367,7 @@ def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> 
         beside = (front[:, None] + np.array((-width, -1, 1, width))).ravel()
         front = np.unique(beside[left[beside]])
         left[front] = False
-    reached: npt.NDArray[np.bool_] = (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
-    return reached
+    return (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
 
 
 def _fits(

@@ -113,8 +113,7 @@ class RangeNoise:
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""
         std = np.maximum(self.range_std_relative * ranges_in, self.range_std_floor_in)
-        variance: Floats = std * std + (self.rounding_var_in2 + self.place_var_in2)
-        return variance
+        return std * std + (self.rounding_var_in2 + self.place_var_in2)
 
 
 def range_variance(noise: RangeNoise, range_in: float) -> float:
@@ -200,12 +199,10 @@ class SonarRing(Protocol):
     @property
     def sonar_ring_radius_in(self) -> float:
         """Return the distance of the sonars from the centre."""
-        ...
 
     @property
     def sonar_angles_rad(self) -> tuple[float, ...]:
         """Return the direction of each sonar from that of the turret, counter-clockwise."""
-        ...
 
 
 # The map.

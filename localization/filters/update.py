@@ -180,7 +180,6 @@ class MeasurementModel(Protocol):
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return what sonar number `sonar` may have measured, the turret turned by so much against the heading."""
-        ...
 
 
 class ReadingLimits(Protocol):
@@ -189,12 +188,10 @@ class ReadingLimits(Protocol):
     @property
     def lowest_in(self) -> float:
         """Return the reading that means "so near or nearer"."""
-        ...
 
     @property
     def highest_in(self) -> float:
         """Return the reading that means "nothing"."""
-        ...
 
 
 class DirectModel(MeasurementModel):
