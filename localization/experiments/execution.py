@@ -15,11 +15,12 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
@@ -66,13 +67,17 @@ def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int
         yield from map(work, items)
         return
     with ProcessPoolExecutor(min(jobs, len(items)), _worker_context()) as workers:
-        # Results as they arrive; after an error or Ctrl-C the items that wait are cancelled.
-        futures = [workers.submit(work, item) for item in items]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            workers.shutdown(wait=True, cancel_futures=True)
+        yield from _completed(workers, work, items)
+
+
+def _completed(workers: Executor, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """Yield results as they arrive; after an error or Ctrl-C the items that wait are cancelled."""
+    futures = [workers.submit(work, item) for item in items]
+    try:
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        workers.shutdown(wait=True, cancel_futures=True)
 
 
 def _worker_context() -> BaseContext:
@@ -230,16 +235,10 @@ def _sources() -> dict[str, bytes]:
     return {
         f"{package}/{path.relative_to(folder).as_posix()}": path.read_bytes()
         for package in CODE
-        for folder in _folders(package)
+        for folder in map(Path, import_module(package).__path__)
         for path in folder.rglob("*")
         if path.suffix in SUFFIXES
     }
-
-
-def _folders(package: str) -> Iterator[Path]:
-    spec = find_spec(package)
-    assert spec is not None
-    return map(Path, spec.submodule_search_locations or ())
 
 
 _MAX_BATCH: Final = 125
@@ -318,13 +317,16 @@ def _drive_compiled(figure: Figure, seeds: Sequence[int], jobs: int, tick: Tally
     """Drive a figure with all seeds in machine code, in `jobs` threads."""
     parts = [seeds[first : first + _COMPILED_BATCH] for first in range(0, len(seeds), _COMPILED_BATCH)]
     with ThreadPoolExecutor(min(jobs, len(parts))) as workers:
-        futures = [workers.submit(drive_batch, figure, part, is_compiled=True) for part in parts]
-        try:
-            for future in as_completed(futures):
-                tick(sum(result.steps for result in future.result().results))
-        finally:
-            workers.shutdown(wait=True, cancel_futures=True)
-        return join_results([future.result() for future in futures])
+        return _joined(_completed(workers, partial(drive_batch, figure, is_compiled=True), parts), tick)
+
+
+def _joined(parts: Iterable[FigureResult], tick: Tally) -> FigureResult:
+    """Return the results of batches, which arrive in any order, in the order of the seeds."""
+    done = []
+    for part in parts:
+        done.append(part)
+        tick(sum(result.steps for result in part.results))
+    return join_results(sorted(done, key=lambda part: part.results[0].seed))
 
 
 def drive_on_cluster(
@@ -334,13 +336,8 @@ def drive_on_cluster(
     is_compiled = _is_compiled(figure, seeds)
     firsts = range(0, len(seeds), _CLUSTER_BATCH)
     items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
-    parts = []
-    tick = _counting(report)
-    for part in on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash):
-        parts.append(part)
-        tick(sum(result.steps for result in part.results))
-    # Batches arrive in any order; the summary is defined in the order of the seeds.
-    return join_results(sorted(parts, key=lambda part: part.results[0].seed))
+    parts = on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash)
+    return _joined(parts, _counting(report))
 
 
 def _compiled_code() -> tuple[str, bool]:

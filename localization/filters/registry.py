@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters import ukf
+from localization.filters import particles, ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
@@ -19,7 +19,6 @@ from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import BUILDING, HealthLimits
 from localization.filters.odometry import MAX_STATE, Prediction, predict_state, with_parameters
 from localization.filters.own import SEPARATOR, make_own
-from localization.filters.particles import ConeLikelihood, MonteCarlo, ParticleFilter, RayLikelihood, draw_particles
 from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
@@ -44,11 +43,11 @@ def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
-    parameters = MonteCarlo()
-    states = draw_particles(belief, parameters.particles, rng)
-    kind: Any = ConeLikelihood if isinstance(config.sonar, ConeSonar) else RayLikelihood
+    parameters = particles.MonteCarlo()
+    states = particles.draw_particles(belief, parameters.particles, rng)
+    kind: Any = particles.ConeLikelihood if isinstance(config.sonar, ConeSonar) else particles.RayLikelihood
     likelihood = kind(config.walls, config.body, config.sonar)
-    return ParticleFilter(
+    return particles.ParticleFilter(
         states, likelihood, config.odometry, rng, parameters, config.range_stds or (), _middle(config)
     )
 

@@ -19,22 +19,14 @@ from localization.filters.base import EncoderRow, Filter, LocalizationConfig
 from localization.filters.belief import Belief
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS
+from localization.live import sensor_input
 from localization.live.estimate import Echo, Estimate, Smoothed
-from localization.live.sensor_input import (
-    CLOCK_STEP_S,
-    EncoderPose,
-    FiringSchedule,
-    PoseHistory,
-    SensorInput,
-    SlipCorrection,
-    corrected,
-)
 from nclient.common.process import show_seconds
 from worlds.rings import Ring
 
 __all__ = ["LAG_STD_S", "Estimate", "Localizer", "Smoothed"]
 
-LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
+LAG_STD_S: Final = sensor_input.CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
 
 
@@ -56,13 +48,13 @@ class Localizer:
     """
 
     def __init__(
-        self, config: LocalizationConfig, belief: Belief, schedule: FiringSchedule,
+        self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
         method: str | Filter = DEFAULT_METHOD, seed: int = 0,
     ) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
-        self._history, self._slip = PoseHistory(), SlipCorrection()
+        self._history, self._slip = sensor_input.PoseHistory(), sensor_input.SlipCorrection()
         self._encoders: EncoderRow | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
@@ -73,7 +65,7 @@ class Localizer:
         """The sonars of the robot."""
         return self._ring
 
-    def update(self, state: SensorInput) -> Estimate:
+    def update(self, state: sensor_input.SensorInput) -> Estimate:
         """Take one state into account and return the estimate. A state no later than the one before changes nothing.
 
         Raises
@@ -82,11 +74,12 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = corrected(state, self._calibration, self._ring)
+        state = sensor_input.corrected(state, self._calibration, self._ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         x_in, y_in = self._slip.position_of(state)
-        now, history = EncoderPose(state.clock_s, x_in, y_in, state.steering_rad, state.turret_rad), self._history
+        now = sensor_input.EncoderPose(state.clock_s, x_in, y_in, state.steering_rad, state.turret_rad)
+        history = self._history
         if self._encoders is None:
             self._encoders = now
             self._last_echo_s = now.clock_s

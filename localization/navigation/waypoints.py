@@ -50,15 +50,11 @@ class Speeds:
 
     translation_in_s: float = 5.0
     steering_rad_s: float = 0.5
-    alpha_rho: float = 0.1
-    alpha_theta: float = 0.1
 
     @property
     def gains(self) -> ControlGains:
         """The same limits per step of PERIOD_S."""
-        return ControlGains(
-            self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta
-        )
+        return ControlGains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S)
 
 
 class Controller(Protocol):
