@@ -31,7 +31,7 @@ from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.run import Run, run_log
 from localization.live.sensor_input import LogRow, new_echoes
 from localization.plot import check_picture, save
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.errors import LogFileError
 from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank
 from worlds.robots import N150, Body, read_model_file
@@ -244,10 +244,9 @@ def _parser() -> argparse.ArgumentParser:
                         help=f"part of the data (default: {FIRST_ROW},{LAST_ROW})")  # fmt: skip
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="runs per kind of odometry (default: 20)")
     parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="filter (default: %(default)s)")
-    parser.add_argument("--picture", type=Path, metavar="PNG",
-                        help="draw echoes, walls, residuals and the first run (needs the extra `plot`)")  # fmt: skip
-    parser.add_argument("--export", type=Path, metavar="FOLDER",
-                        help="write log.csv, robot.toml and map.toml for `nomad localize --from`")  # fmt: skip
+    add_value(parser, "--picture", "PNG", Path,
+              "draw echoes, walls, residuals and the first run (needs the extra `plot`)")
+    add_value(parser, "--export", "FOLDER", Path, "write log.csv, robot.toml and map.toml for `nomad localize --from`")
     parser.add_argument("--json", action="store_true", help="print only the numbers, as JSON")
     return parser
 

@@ -119,19 +119,19 @@ class Scenario:
         return (self.scale_std,) if self.scale_std else ()
 
 
+_MEASURED: Final = Scenario(
+    "measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0
+)
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
     {
         scenario.name: scenario
         for scenario in (
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0),
+            _MEASURED,
             # Over the serial protocol, which has neither timestamps nor a fine clock.
             Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            Scenario(
-                "measured_line", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0,
-                line=True,
-            ),
+            replace(_MEASURED, name="measured_line", line=True),
         )
     }
 )

@@ -105,8 +105,12 @@ class Filter(ABC):
             x, y, heading = to_x, to_y, to_heading
             # 2. Predict, and correct by the reading.
             self.predict(distance_in, turn_rad)
-            results.append(self.update(sonar, turret - to_heading, reading_in))
+            results.append(self.update_at(instant_s, sonar, turret - to_heading, reading_in))
         return results
+
+    def update_at(self, instant_s: float, sonar: int, turret_offset_rad: float, reading_in: float) -> Outcome:  # noqa: ARG002
+        """Correct the belief by a reading of this instant; only a filter of a user takes note of the time."""
+        return self.update(sonar, turret_offset_rad, reading_in)
 
     def advance(
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
