@@ -19,7 +19,7 @@ import numpy as np
 from localization.cli.arguments import make_folder
 from localization.experiments import execution
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
-from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, simulated_robot
+from localization.experiments.live_trial import SCENARIOS, START_STD, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
@@ -58,17 +58,12 @@ class DrivePair:
     number
         Number of the pair of start and goal in this world, and seed of the simulation.
     scenario
-        Name of the error scenario.
+        Name of the error scenario; its outliers are not used.
     """
 
     world: str
     number: int
     scenario: str
-
-    @property
-    def errors(self) -> Scenario:
-        """The error scenario; its outliers are not used."""
-        return SCENARIOS[self.scenario]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +163,10 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     """Simulate one drive."""
     world, ends = load_world(pair.world), ends_of(pair)
     heading = radians(ends.heading_deg)
+    start = Pose(*ends.start, heading, heading)
     # The same mission code as `nomad go`, observed in every period.
     with (
-        simulated_robot(pair.world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        simulated_robot(pair.world, SCENARIOS[pair.scenario], pair.number, start) as robot,
         _controller(robot, world, pair) as controller,
     ):
         recorder = TruthRecorder(robot, world)
@@ -182,7 +178,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
 
 def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
     """Return the controller of a robot whose initial estimate has an error drawn from START_STD."""
-    errors, state = pair.errors, robot.refresh()
+    errors, state = SCENARIOS[pair.scenario], robot.refresh()
     # The initial error has its own random stream: it is the same in all scenarios.
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)

@@ -17,15 +17,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from threading import Thread
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -90,14 +89,6 @@ class BackgroundSearch:
         )
         self._pool: ProcessPoolExecutor | None = None
         self._done: Synchronized[float] | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the worker process, also in the middle of its work."""
@@ -208,7 +199,7 @@ def filter_on_robot(
     if multiprocessing.current_process().daemon:
         yield finder(config, belief, parameter_stds, alike=alike)
         return
-    with BackgroundSearch(config, waits=waits, report=report) as poses:
+    with closing(BackgroundSearch(config, waits=waits, report=report)) as poses:
         if belief is None or is_wide(belief):
             poses.prepare()
         yield finder(config, belief, parameter_stds, poses, alike)

@@ -22,7 +22,6 @@ from localization.filters.update import REFUSALS
 from localization.live import sensor_input
 from localization.live.estimate import Echo, Estimate, Smoothed
 from nclient.common.process import show_seconds
-from worlds.rings import Ring
 
 __all__ = ["LAG_STD_S", "Estimate", "Localizer", "Smoothed"]
 
@@ -53,17 +52,12 @@ class Localizer:
     ) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
-        self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
+        self._schedule, self._calibration, self.ring = schedule, config.calibration, config.body.ring
         self._history, self._slip = sensor_input.PoseHistory(), sensor_input.SlipCorrection()
         self._encoders: EncoderRow | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
         self._instants: deque[float] = deque(maxlen=1 + self._filter.lag)
-
-    @property
-    def ring(self) -> Ring:
-        """The sonars of the robot."""
-        return self._ring
 
     def update(self, state: sensor_input.SensorInput) -> Estimate:
         """Take one state into account and return the estimate. A state no later than the one before changes nothing.
@@ -74,7 +68,7 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = sensor_input.corrected(state, self._calibration, self._ring)
+        state = sensor_input.corrected(state, self._calibration, self.ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         x_in, y_in = self._slip.position_of(state)

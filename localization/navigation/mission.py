@@ -291,7 +291,7 @@ class Mission:
             controller.add_fence(self._fence)
         self._step: Step | None = None
         self._is_unmoved_noted = False
-        self._encoders = self._encoder_position(controller.last)
+        self._encoders = controller.last.state.x_in, controller.last.state.y_in
         controller.observers.append(self._check_period)
 
     @property
@@ -531,7 +531,7 @@ class Mission:
     def _check_period(self, observation: Observation) -> None:
         """Observe a period: distance driven, time limits, fence, standing robot. Raises StepFailed, MissionOver."""
         # 1. Distance by the encoders.
-        position = self._encoder_position(observation)
+        position = observation.state.x_in, observation.state.y_in
         if self._step:
             self._step.driven_in += hypot(position[0] - self._encoders[0], position[1] - self._encoders[1])
         self._encoders = position
@@ -566,9 +566,6 @@ class Mission:
             f"the robot has not moved for {self._controller.unmoved_s:.0f} s although commanded to: is it held (see "
             "nserver ctl status), or its emergency button pressed?"
         )
-
-    def _encoder_position(self, observation: Observation) -> Point:
-        return observation.state.x_in, observation.state.y_in
 
     def _note(self, words: str) -> None:
         if self._step:
