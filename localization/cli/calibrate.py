@@ -379,11 +379,8 @@ def calibration_in(belief: Belief) -> Calibration:
         tuple(offsets.tolist()),
         float(mean[RING_TURN]),
         Spread(
-            float(std[OdometryParameter.DISTANCE_SCALE]),
-            float(std[OdometryParameter.TURN_SCALE]),
-            float(std[OdometryParameter.DRIFT]),
-            tuple(spread.tolist()),
-            float(std[RING_TURN]),
+            float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
+            float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN]),
         ),
     )
 

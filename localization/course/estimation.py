@@ -47,13 +47,9 @@ def predict_grid(answer: Answer, rng: Rng) -> None:
             (backwards, "kernel[k] is the probability of k cells forwards."),
         ]
         expect(
-            answer,
-            (belief, kernel),
-            right,
-            1e-9,
-            mistakes=mistakes,
+            answer, (belief, kernel), right, 1e-9, mistakes=mistakes,
             hint="Add belief[i] * kernel[k] to cell i + k for all i and k.",
-        )
+        )  # fmt: skip
 
 
 @task("04")

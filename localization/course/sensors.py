@@ -131,13 +131,9 @@ def echo_point(answer: Answer, rng: Rng) -> None:
             ((RING_IN + reading) * u, "Add the position of the robot."),
         ]
         expect(
-            answer,
-            (x, y, turret, number, reading),
-            (x, y) + (RING_IN + reading) * u,
-            0.1,
-            mistakes=mistakes,
+            answer, (x, y, turret, number, reading), (x, y) + (RING_IN + reading) * u, 0.1, mistakes=mistakes,
             hint="Start at the axis and go along the direction of the sonar.",
-        )
+        )  # fmt: skip
 
 
 @task("02", points=2)

@@ -388,16 +388,11 @@ def summarize(row: str, setup: str, method: str, tallies: Sequence[Tally]) -> di
 
 
 _COLUMNS: Final[tuple[tuple[str, str, Callable[[float], str]], ...]] = (
-    ("lost", "lost", "{:.0%}".format),
-    ("RMSE (in)", "rmse_in", "{:.2f}".format),
-    ("stated (in)", "stated_in", "{:.2f}".format),
-    ("NEES", "nees", "{:.1f}".format),
-    ("OK", "ok", "{:.1%}".format),
-    ("OK and wrong", "ok_wrong", "{:.2%}".format),
-    ("OK if right", "ok_if_right", "{:.1%}".format),
-    ("NEES if OK", "nees_ok", "{:.1f}".format),
-    ("jitter", "jitter", "{:.2f}".format),
-)
+    ("lost", "lost", "{:.0%}".format), ("RMSE (in)", "rmse_in", "{:.2f}".format),
+    ("stated (in)", "stated_in", "{:.2f}".format), ("NEES", "nees", "{:.1f}".format), ("OK", "ok", "{:.1%}".format),
+    ("OK and wrong", "ok_wrong", "{:.2%}".format), ("OK if right", "ok_if_right", "{:.1%}".format),
+    ("NEES if OK", "nees_ok", "{:.1f}".format), ("jitter", "jitter", "{:.2f}".format),
+)  # fmt: skip
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

@@ -408,13 +408,9 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
     shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
     choices = ", ".join(names).replace("%", "%%")
     parser.add_argument(
-        option,
-        nargs="+" if isinstance(default, list) else None,
-        choices=names,
-        default=default,
-        metavar="NAME",
+        option, nargs="+" if isinstance(default, list) else None, choices=names, default=default, metavar="NAME",
         help=f"{what}: {choices} (default: {shown})",
-    )
+    )  # fmt: skip
 
 
 def add_execution_options(parser: argparse.ArgumentParser) -> None:

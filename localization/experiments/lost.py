@@ -743,22 +743,13 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
     parser.add_argument(
-        "kinds",
-        nargs="*",
-        type=_kind,
-        default=[kind for kind in Kind if kind not in GIVEN],
-        metavar="KIND",
+        "kinds", nargs="*", type=_kind, default=[kind for kind in Kind if kind not in GIVEN], metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--world",
-        "--worlds",
-        dest="worlds",
-        nargs="+",
-        default=[WORLD],
-        metavar="WORLD",
+        "--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
         help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
-    )
+    )  # fmt: skip
     execution.add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
     add_value(parser, "--runs --seeds", "N", execution.positive, f"number of runs of each kind (default: {numbers})")

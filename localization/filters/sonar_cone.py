@@ -248,12 +248,9 @@ def building_sonar(ring: Ring) -> ConeSonar:
 def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
     rays = ray_sonar(ring)
     return replace(
-        sonar,
-        rounding_var_in2=rays.rounding_var_in2,
-        lowest_in=rays.lowest_in,
-        highest_in=rays.highest_in,
+        sonar, rounding_var_in2=rays.rounding_var_in2, lowest_in=rays.lowest_in, highest_in=rays.highest_in,
         cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
-    )
+    )  # fmt: skip
 
 
 def arm_of(mount: SonarMount, axis_x: Number, axis_y: Number) -> tuple[Number, Number]:
@@ -424,20 +421,12 @@ def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> A
     noise, parameters = model.noise, model.range_parameters
     expected = [expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
     return Association(
-        Refusal.NONE,
-        1.0,
-        [reading_in for reading_in, _ in expected],
-        [H for _, H in expected],
+        Refusal.NONE, 1.0, [reading_in for reading_in, _ in expected], [H for _, H in expected],
         [range_variance(noise, candidate.range_in) for candidate in candidates],
         [constant_variance(noise, candidate.range_in) for candidate in candidates],
-        [candidate.probability for candidate in candidates],
-        None,
-        noise.outlier_probability,
-        noise.outlier_density,
-        0.0,
-        parameters,
-        1.0,
-    )
+        [candidate.probability for candidate in candidates], None, noise.outlier_probability, noise.outlier_density,
+        0.0, parameters, 1.0,
+    )  # fmt: skip
 
 
 def update_by_cone(

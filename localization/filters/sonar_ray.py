@@ -495,18 +495,11 @@ class RayModel(DirectModel):
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
         expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
         return Association(
-            Refusal.NONE,
-            1.0,
-            [expected_in],
-            [H],
-            [range_variance(self.noise, beam.range_in)],
-            [constant_variance(self.noise, beam.range_in)],
-            [1.0],
-            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)),
-            gate_outliers=RAY_OUTLIERS,
-            range_parameters=self.range_parameters,
-            range_span_in=self.noise.range_span_in,
-        )
+            Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
+            [constant_variance(self.noise, beam.range_in)], [1.0],
+            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
+            range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in,
+        )  # fmt: skip
 
 
 def _ranges_to_line(mount: SonarMount, line: Sequence[float], poses: Floats) -> tuple[Floats, Floats]:

@@ -147,19 +147,12 @@ class Step:
     def as_json(self) -> dict[str, Any]:
         """Return the step as plain data; the keys are documented in docs/missions.md."""
         return {
-            "do": self.name,
-            "what": self.arguments,
-            "ending": self.ending,
-            "reason": self.reason,
-            "began_s": round(self.began_s, 3),
-            "duration_s": round(self.ended_s - self.began_s, 3),
-            "tries": self.tries,
-            "way_in": round(self.driven_in, 2),
-            "touches": self.touches,
-            "plans": self.plans,
+            "do": self.name, "what": self.arguments, "ending": self.ending, "reason": self.reason,
+            "began_s": round(self.began_s, 3), "duration_s": round(self.ended_s - self.began_s, 3), "tries": self.tries,
+            "way_in": round(self.driven_in, 2), "touches": self.touches, "plans": self.plans,
             "planned_in": round(self.planned_in, 2),
             "notes": [{"at_s": round(at, 3), "words": words} for at, words in self.notes],
-        }
+        }  # fmt: skip
 
 
 @dataclass
@@ -196,18 +189,12 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain data: inches, seconds, degrees."""
         return {
-            "title": self.title,
-            "ending": self.ending,
-            "reason": self.reason,
-            "duration_s": round(self.duration_s, 3),
+            "title": self.title, "ending": self.ending, "reason": self.reason, "duration_s": round(self.duration_s, 3),
             "way_in": round(sum(step.driven_in for step in self.steps), 2),
-            "touches": sum(step.touches for step in self.steps),
-            "pose": _pose_as_json(self.pose),
-            "std": _pose_as_json(self.std),
-            "truth": _pose_as_json(self.truth),
-            "hint": self.hint or None,
+            "touches": sum(step.touches for step in self.steps), "pose": _pose_as_json(self.pose),
+            "std": _pose_as_json(self.std), "truth": _pose_as_json(self.truth), "hint": self.hint or None,
             "steps": [step.as_json() for step in self.steps],
-        }
+        }  # fmt: skip
 
     def text(self) -> str:
         """Return the report as text."""
