@@ -424,15 +424,14 @@ class IntegrityMonitor:
         if self.is_lost:
             return FilterHealth(HealthStatus.LOST, self.reason)
         if std > limits.max_std_in:
-            return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {std:.1f} in only")
+            reason = f"the position is known to {std:.1f} in only"
         # The outcomes of the last readings, once there are enough.
-        if matched < limits.min_matched:
+        elif matched < limits.min_matched:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
-            return FilterHealth(HealthStatus.DEGRADED, reason)
-        if since_slip < limits.after_slip or slipped > MAX_SLIP_PROBABILITY:
+        elif since_slip < limits.after_slip or slipped > MAX_SLIP_PROBABILITY:
             reason = "the wheels may have slipped: readings agree on another place along the heading"
-            return FilterHealth(HealthStatus.DEGRADED, reason)
-        if ratio <= limits.max_nis_ratio:
+        elif ratio > limits.max_nis_ratio:
+            reason = f"squared innovations are {ratio:.1f} times as large as they should be"
+        else:
             return HEALTHY
-        reason = f"squared innovations are {ratio:.1f} times as large as they should be"
         return FilterHealth(HealthStatus.DEGRADED, reason)
