@@ -11,10 +11,8 @@ The filter has the models of `nomad localize`: the default odometry noise, and r
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -387,21 +385,18 @@ def summarize(row: str, setup: str, method: str, tallies: Sequence[Tally]) -> di
     }
 
 
-_COLUMNS: Final[tuple[tuple[str, str, Callable[[float], str]], ...]] = (
-    ("lost", "lost", "{:.0%}".format), ("RMSE (in)", "rmse_in", "{:.2f}".format),
-    ("stated (in)", "stated_in", "{:.2f}".format), ("NEES", "nees", "{:.1f}".format), ("OK", "ok", "{:.1%}".format),
-    ("OK and wrong", "ok_wrong", "{:.2%}".format), ("OK if right", "ok_if_right", "{:.1%}".format),
-    ("NEES if OK", "nees_ok", "{:.1f}".format), ("jitter", "jitter", "{:.2f}".format),
+_COLUMNS: Final = (
+    ("lost", "lost", ".0%"), ("RMSE (in)", "rmse_in", ".2f"),
+    ("stated (in)", "stated_in", ".2f"), ("NEES", "nees", ".1f"), ("OK", "ok", ".1%"),
+    ("OK and wrong", "ok_wrong", ".2%"), ("OK if right", "ok_if_right", ".1%"),
+    ("NEES if OK", "nees_ok", ".1f"), ("jitter", "jitter", ".2f"),
 )  # fmt: skip
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Return the rows as a text table."""
-    lines = [["disturbance", "setup", "method", *(title for title, _, _ in _COLUMNS)]]
-    for row in rows:
-        cells = ["-" if row[key] is None else form(row[key]) for _, key, form in _COLUMNS]
-        lines.append([row["disturbance"], row["setup"], row["method"], *cells])
-    return execution.text_table(lines)
+    names = {"disturbance": "disturbance", "setup": "setup", "method": "method"}
+    return execution.table_of(names, _COLUMNS, rows)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -426,10 +421,7 @@ def main(arguments: Sequence[str]) -> None:
         )
         for row, setup in cells
     ]
-    written = options.out / f"disturbed_{options.method}.json"
-    written.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(rows) if options.json else table(rows), flush=True)
-    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    execution.write_results(options, f"disturbed_{options.method}.json", rows, table(rows))
 
 
 def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, Tally]:

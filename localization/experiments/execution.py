@@ -14,6 +14,7 @@ import json
 import math
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ from hashlib import sha256
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -377,10 +378,37 @@ def _count_steps(steps: int) -> None:
             _StepCounter.steps.value += steps
 
 
+Column = tuple[str, str, str]
+"""Title, key and format of a column of numbers."""
+
+
 def text_table(lines: Sequence[Sequence[str]]) -> str:
     """Return lines of cells as text, right-aligned, each column as wide as its widest cell."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(map(str.rjust, line, widths)) for line in lines)
+
+
+def table_of(names: Mapping[str, str], columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as a text table: first the columns of `names` (title: key), then numbers; "-" for None."""
+    columns = list(columns)
+    lines = [[*names, *(title for title, _, _ in columns)]]
+    for row in rows:
+        numbers = ["-" if row[key] is None else format(row[key], form) for _, key, form in columns]
+        lines.append([*(str(row[key]) for key in names.values()), *numbers])
+    return text_table(lines)
+
+
+def write_results(
+    options: argparse.Namespace, name: str, values: Sequence[object], text: str, more: object = None
+) -> None:
+    """Write values, or `more`, to a JSON file in the folder of --out; print the values as text, or as JSON for --json.
+
+    Other words go to stderr with --json.
+    """
+    written = options.out / name
+    written.write_text(json.dumps(more or values, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(values) if options.json else text, flush=True)
+    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 NO_PICTURES: Final = "--no-pictures"

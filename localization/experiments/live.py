@@ -76,13 +76,9 @@ def rows(matrix: Matrix) -> list[Row]:
 
 def table(matrix: Matrix) -> str:
     """Return the matrix as a text table."""
-    heads = ["scenario", "path", "method", "seeds", *(column.title for column in COLUMNS)]
-    body = [
-        [str(row[key]) for key in ("scenario", "figure", "method", "seeds")]
-        + [_written(row[column.key], column.form) for column in COLUMNS]
-        for row in rows(matrix)
-    ]
-    return execution.text_table([heads, *body])
+    names = {"scenario": "scenario", "path": "figure", "method": "method", "seeds": "seeds"}
+    columns = ((column.title, column.key, column.form) for column in COLUMNS)
+    return execution.table_of(names, columns, rows(matrix))
 
 
 def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:

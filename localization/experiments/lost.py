@@ -15,8 +15,6 @@ where there is free space. Recovery means localized without LOST for CERTAIN_S. 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
@@ -708,11 +706,8 @@ def main(arguments: Sequence[str]) -> None:
     with execution.progress(len(cases), "lost", "runs") as tally:
         found = summaries(execution.run_cached(cases, cache, execution.executor_for(run, options), tally))
     # 3. Summary, as JSON file and as text.
-    path = options.out / "lost.json"
     rows = [asdict(summary) for summary in found]
-    path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(rows) if options.json else "\n".join(map(words, found)), flush=True)
-    print(f"written: {path}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    execution.write_results(options, "lost.json", rows, "\n".join(map(words, found)))
 
 
 def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, LostResult]:

@@ -5,8 +5,6 @@ The shortest path is that of the bare body, without any margin.
 """
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import hypot, inf, radians
@@ -226,11 +224,9 @@ def main(arguments: Sequence[str]) -> None:
         results = run_cached(requested, cache, execution.executor_for(drive, options), tally)
     # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
-    written = options.out / f"plan_{options.scenario}.json"
-    drives = [asdict(results[pair]) for pair in requested]
-    written.write_text(json.dumps({"worlds": rows, "drives": drives}, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(rows) if options.json else table(rows, list(results.values())), flush=True)
-    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    content = {"worlds": rows, "drives": [asdict(results[pair]) for pair in requested]}
+    text = table(rows, list(results.values()))
+    execution.write_results(options, f"plan_{options.scenario}.json", rows, text, content)
 
 
 def drive_cache(folder: Path, code: str) -> ResultCache[DrivePair, DriveResult]:
@@ -272,9 +268,7 @@ _COLUMNS: Final = (
 
 def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
-    lines = [["world", *(title for title, _, _ in _COLUMNS)]]
-    lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
-    text = [execution.text_table(lines)]
+    text = [execution.table_of({"world": "world"}, _COLUMNS, rows)]
     text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives
