@@ -194,8 +194,7 @@ class Robot:
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def drive(
-        self, *,
-        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
         steering_deg_s: float | None = None, steering_rad_s: float | None = None,
         turret_deg_s: float | None = None, turret_rad_s: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -223,8 +222,7 @@ class Robot:
         )
 
     def move(
-        self, *,
-        translation_in: float | None = None, translation_m: float | None = None,
+        self, *, translation_in: float | None = None, translation_m: float | None = None,
         steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -252,8 +250,7 @@ class Robot:
         )
 
     def move_to(
-        self, *,
-        translation_in: float | None = None, translation_m: float | None = None,
+        self, *, translation_in: float | None = None, translation_m: float | None = None,
         steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -283,8 +280,7 @@ class Robot:
         return self._command("mv", *translation, *steering, *turret)
 
     def drive_wheels(
-        self, *,
-        right_in_s: float | None = None, left_in_s: float | None = None,
+        self, *, right_in_s: float | None = None, left_in_s: float | None = None,
         right_m_s: float | None = None, left_m_s: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
@@ -293,8 +289,7 @@ class Robot:
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
     def move_wheels(
-        self, *,
-        right_in: float | None = None, left_in: float | None = None,
+        self, *, right_in: float | None = None, left_in: float | None = None,
         right_m: float | None = None, left_m: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
@@ -376,8 +371,7 @@ class Robot:
     # -- settings -----------------------------------------------------------------------------------------------------
 
     def set_speeds(
-        self, *,
-        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
         steering_deg_s: float | None = None, steering_rad_s: float | None = None,
         turret_deg_s: float | None = None, turret_rad_s: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -393,8 +387,7 @@ class Robot:
         )
 
     def set_accelerations(
-        self, *,
-        translation_in_s2: float | None = None, translation_m_s2: float | None = None,
+        self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
         steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
         turret_deg_s2: float | None = None, turret_rad_s2: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -410,16 +403,14 @@ class Robot:
         )
 
     def set_position(
-        self, *,
-        x_in: float | None = None, y_in: float | None = None,
+        self, *, x_in: float | None = None, y_in: float | None = None,
         x_m: float | None = None, y_m: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
     def set_angles(
-        self, *,
-        steering_deg: float | None = None, steering_rad: float | None = None,
+        self, *, steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""

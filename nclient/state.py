@@ -119,8 +119,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def velocity(
-        cls, *,
-        in_s: float | None = None, m_s: float | None = None,
+        cls, *, in_s: float | None = None, m_s: float | None = None,
         deg_s: float | None = None, rad_s: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to keep this velocity until the next one."""
@@ -128,8 +127,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def relative(
-        cls, *,
-        by_in: float | None = None, by_m: float | None = None,
+        cls, *, by_in: float | None = None, by_m: float | None = None,
         by_deg: float | None = None, by_rad: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to move by this distance or angle."""
@@ -142,8 +140,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def acceleration(
-        cls, *,
-        in_s2: float | None = None, m_s2: float | None = None,
+        cls, *, in_s2: float | None = None, m_s2: float | None = None,
         deg_s2: float | None = None, rad_s2: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to set the acceleration."""
@@ -151,8 +148,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def speed(
-        cls, *,
-        in_s: float | None = None, m_s: float | None = None,
+        cls, *, in_s: float | None = None, m_s: float | None = None,
         deg_s: float | None = None, rad_s: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to set the speed of relative motions."""
