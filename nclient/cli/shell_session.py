@@ -633,11 +633,8 @@ class Session:
         rows = {word.usage: word.summary for word in BUILTINS.values()}
         rows |= ARRAYS_HELP | summaries(self.wire_state)
         for left, right in rows.items():
-            yield (
-                f"{left:{_USAGE_WIDTH}}  {right}"
-                if len(left) <= _USAGE_WIDTH
-                else f"{left}\n{'':{_USAGE_WIDTH}}  {right}"
-            )
+            line_end = "" if len(left) <= _USAGE_WIDTH else f"\n{'':{_USAGE_WIDTH}}"
+            yield f"{left:{_USAGE_WIDTH}}{line_end}  {right}"
         yield f"{model_note(self.wire_state.model)}; help NAME says more"
 
     def _wait(self, seconds: float) -> str:
