@@ -592,6 +592,7 @@ class ArmPacket(Adapter):
         size = 4 + sum(element.sizeof() for element in elements)
         head = (Const(size, Int16ul), LINE_BYTE, Const(packet_type, LINE_BYTE))
         super().__init__(Fields(*head, *elements))
+        self.elements = elements
         self.octets = size
 
     def _decode(self, obj: Sequence[int], context: Any, path: str) -> tuple[int, ...]:
