@@ -437,7 +437,8 @@ def _inner_corners(estimate: MapEstimate) -> tuple[Indices, Indices]:
     slope = c[:, None] * -s + s[:, None] * c
     reach = (onward[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
     is_inner = (on_wall[:, :, None] & on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
-    return tuple(np.nonzero(is_inner & (estimate.sides != 0.0)))
+    points, faces = np.nonzero(is_inner & (estimate.sides != 0.0))
+    return points, faces
 
 
 def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:

@@ -119,8 +119,11 @@ def test_axes_of_a_building_are_those_that_cost_least(estimate: MapEstimate, see
     # Derivatives of the cost, the axes following, against difference quotients.
     gradient = 2.0 * J.T @ (robust_weight(r) * r)
     steps = 1e-6 * np.eye(7)
-    costs = [[angle_cost(estimate.problem, estimate, angles + sign * step) for step in steps] for sign in (1.0, -1.0)]
-    quotients = np.subtract(*costs) / 2e-6
+    ahead, behind = (
+        np.array([angle_cost(estimate.problem, estimate, angles + sign * step) for step in steps])
+        for sign in (1.0, -1.0)
+    )
+    quotients = (ahead - behind) / 2e-6
     np.testing.assert_allclose(gradient, quotients, rtol=1e-3, atol=0.05 * np.abs(gradient).max())
 
 
