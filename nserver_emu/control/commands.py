@@ -524,31 +524,20 @@ def may_have_faults(options: argparse.Namespace) -> bool:
 async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """Load the fault plan and open the control socket; yield the lines to print.
 
-    Raises FaultPlanError or ConnectionLost, with a remedy; the daemon is then closed.
+    Raises FaultPlanError or ConnectionLost, with a remedy.
     """
-    try:
-        control = await _open(daemon, options)
-    except NomadError:
-        await daemon.close()
-        raise
-    if control is None:
+    if options.faults:
+        daemon.faults.put(load_plan(options.faults), daemon.lines())
+    if options.control is None:
         yield []
         return
+    path = default_path(os.environ) if options.control == _DEFAULT else options.control
+    control = ControlSocket(path, lambda line: answer_line_in_thread(daemon, line))
+    await control.open()
     try:
         yield [f"listening control {control.path}"]
     finally:
         control.close()
-
-
-async def _open(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | None:
-    if options.faults:
-        daemon.faults.put(load_plan(options.faults), daemon.lines())
-    if options.control is None:
-        return None
-    path = default_path(os.environ) if options.control == _DEFAULT else options.control
-    control = ControlSocket(path, lambda line: answer_line_in_thread(daemon, line))
-    await control.open()
-    return control
 
 
 def socket_path(text: str) -> Path:

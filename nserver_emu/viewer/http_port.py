@@ -37,9 +37,11 @@ from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 
 from nclient.errors import ConnectionLost, NomadError
-from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED
+from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket
+
+log = logging.getLogger(__name__)
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""
@@ -396,7 +398,11 @@ class HttpPort:
                 f"cannot serve {self._title} on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         HTTP_LOG.addFilter(self.admission.keep_record)  # only if something is served: close() removes it
-        return int(self._server.sockets[0].getsockname()[1])
+        port = int(self._server.sockets[0].getsockname()[1])
+        if not is_loopback(host):
+            log.warning("%s is open to the network, unencrypted: all who read its address can drive the robots; "
+                        "ssh -L %d:127.0.0.1:%d forwards its port to another machine", self._title, port, port)
+        return port
 
     def start_clock(self, tick: Callable[[], Awaitable[None]]) -> None:
         """Call a function every PERIOD_S until `close`."""
