@@ -8,6 +8,11 @@ A trial drives a robot along waypoints of a world, as a person would who sees th
     offset    distance between both at the middle of the learned one, after the best rigid fit of the walls (no scale)
     path      root mean square distance of the path from the true one, after the best rigid fit of the path
 
+With the setup *building* a wall of the world is a plane that nothing reflects at: its surface has levels. There the
+true wall is the straight line that fits the surface best, in the mean square, beside the measured parts of the learned
+line. No straight wall is nearer to what a sonar measures; the plane itself is half an inch from it in the median, and
+up to 3 in.
+
 The frame of a map is free, and so is the path in it: while the turret keeps its direction, a shift of the path is the
 same as offsets of the sonars by the cosine of their angles.
 """
@@ -32,12 +37,12 @@ import numpy as np
 from localization.experiments.execution import add_choice, add_shared, executor_for, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
-from localization.filters.sonar_cone import ConeSonar
-from localization.live.assumptions import RING_SETUPS
+from localization.filters.sonar_cone import ConeSonar, building_sonar
+from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, FiringTime, SensorData
 from localization.mapping.explore import Explorer
-from localization.mapping.learn import ROUGHNESS_IN, learn_map
+from localization.mapping.learn import learn_map
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import (
     DriveCollector,
@@ -56,6 +61,8 @@ from nclient import connect
 from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import RobotState, Truth
+from nserver_emu.simulation.acoustics import Polaroid, Surfaces
+from nserver_emu.simulation.noise import SETUPS as SIMULATIONS
 from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world
 from worlds.raycast_arrays import cast_rays
@@ -109,9 +116,9 @@ CLOSED_IN: Final = 2.0
 """A loop is closed if the last position is so near to where the first one puts it."""
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization."""
-SETUPS: Final = ("measured", "noisy", "worn", "building")
-BUILDING_ROUGHNESS_IN: Final = 0.8
-"""`--roughness` for walls of a real building."""
+SETUPS: Final = ("measured", "noisy", "worn", BUILDING_SETUP)
+MIN_BESIDE_IN: Final = 4.0
+"""Of a wall that is beside a learned one over less, all of the surface counts."""
 OFFSETS, WHEELS, READINGS = "offsets", "wheels", "readings"
 DISTURBANCES: Final = (OFFSETS, WHEELS, READINGS)
 OFFSET_STD_IN, DISTANCE_SCALE, TURN_SCALE, BAD_FRACTION = 1.0, 1.03, 1.02, 0.2
@@ -134,9 +141,15 @@ class Trial(NamedTuple):
         return self.setup not in RING_SETUPS
 
     @property
-    def roughness_in(self) -> float:
-        """Standard deviation of the walls from straight lines, as `--roughness` gives it."""
-        return BUILDING_ROUGHNESS_IN if self.setup == "building" else ROUGHNESS_IN
+    def sonar(self) -> ConeSonar:
+        """The sonars, as `--sonars` gives them."""
+        return building_sonar(N150.ring) if self.setup == BUILDING_SETUP else ConeSonar()
+
+    @property
+    def surfaces(self) -> Surfaces | None:
+        """The surfaces of the walls; None if they are planes."""
+        sonar = SIMULATIONS[self.setup].sonar
+        return sonar.surfaces(self.seed) if isinstance(sonar, Polaroid) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +285,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         mappers.append(
-            _TimedMapper(collector, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
+            _TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None)
         )
         return mappers[-1]
 
@@ -339,19 +352,20 @@ def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[fl
     ends
         (n, 2, 2) ends of the learned walls.
     walls
-        (m, 4) true walls.
+        (m, 4) true walls, or (n, m, 4), those for each learned one.
     turn, shift
         Where to begin: the fit of the path.
     """
+    of_each = np.broadcast_to(walls, (len(ends), *walls.shape[-2:]))
     for _ in range(FIT_STEPS):
         # 1. The true wall at each learned one, if there is one.
         placed = rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
         rows, targets, sizes = [], [], []
-        for learned in placed.reshape(-1, 2, 2):
-            turned = np.array([_turn_between(wall, learned) for wall in walls])
-            away = np.where(turned < FIT_RAD, nearest_points(learned.mean(axis=0)[None], walls)[1][0], np.inf)
+        for learned, near in zip(placed.reshape(-1, 2, 2), of_each, strict=True):
+            turned = np.array([_turn_between(wall, learned) for wall in near])
+            away = np.where(turned < FIT_RAD, nearest_points(learned.mean(axis=0)[None], near)[1][0], np.inf)
             if away.min() < FIT_IN:
-                wall = walls[away.argmin()]
+                wall = near[away.argmin()]
                 normal = np.array((wall[1] - wall[3], wall[2] - wall[0])) / lengths(wall)
                 # 2. Distances of both ends from its line, and their derivatives by the turn and the shift.
                 for end in learned:
@@ -383,22 +397,42 @@ def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
     return found
 
 
+def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Floats:
+    """Return walls (m, 4) as the lines that fit their surfaces best beside parts (k, 2, 2) of a learned line."""
+    if surfaces is None:
+        return walls
+    found = []
+    for wall in walls:
+        length = float(np.hypot(*(wall[2:] - wall[:2])))
+        along = (wall[2:] - wall[:2]) / length
+        at: Floats = (np.arange(max(int(length / SAMPLE_IN), 2), dtype=np.float64) + 0.5) * SAMPLE_IN
+        spans = np.sort((parts - wall[:2]) @ along, axis=1)
+        beside = at[((at[:, None] > spans[:, 0]) & (at[:, None] < spans[:, 1])).any(axis=1)]
+        at = beside if len(beside) * SAMPLE_IN >= MIN_BESIDE_IN else at
+        slope, level_in = np.polyfit(at, surfaces.of(wall).level_in(at), 1)
+        left = np.array((-along[1], along[0]))
+        found.append(np.concatenate((wall[:2] + level_in * left, wall[2:] + (level_in + slope * length) * left)))
+    return np.array(found)
+
+
 def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, odometry: Floats) -> dict[str, Any]:
     """Return the numbers of a learned map against the world's walls."""
     walls = load_world(trial.world).walls
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
-    turn, shift = _fit_of(found, walls, true_path)
+    turn, shift = _fit_of(found, walls, trial.surfaces, true_path)
     ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
+    beside = _lines_of(found, walls, trial.surfaces, turn, shift)
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
     covered, missing, near_samples = 0, [], 0
     samples = visible_samples(walls, true_path[:: max(len(true_path) // 60, 1)])
     visible = [k for k, points in enumerate(samples) if len(points) >= 4]
     for k in visible:
         near = np.zeros(len(samples[k]), dtype=np.bool_)
-        for learned in ends:
-            if _turn_between(walls[k], learned) <= FOUND_RAD:
-                near |= nearest_points(samples[k], learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
+        for learned, lines in zip(ends, beside, strict=True):
+            if _turn_between(lines[k], learned) <= FOUND_RAD:
+                places = _moved_onto(samples[k], walls[k], lines[k])
+                near |= nearest_points(places, learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
         near_samples += int(near.sum())
         if near.mean() >= FOUND_FRACTION:
             covered += 1
@@ -407,19 +441,19 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     # 3. Learned walls: how much of each is at a wall of the world, and how far off.
     near_length, false = 0.0, 0
     offsets, angles, corners, z = [], [], [], []
-    for piece, learned in zip(found.walls, ends, strict=True):
+    for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
-        is_near = nearest_points(points, walls)[1].min(axis=1) <= FOUND_IN
+        is_near = nearest_points(points, lines)[1].min(axis=1) <= FOUND_IN
         near_length += float(is_near.mean()) * piece.length_in
         if is_near.mean() < FOUND_FRACTION:
             false += 1
             continue
-        offset, angle = _error(learned, walls)
+        offset, angle = _error(learned, lines)
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
-        true_ends = walls.reshape(-1, 2)
+        true_ends = lines.reshape(-1, 2)
         corners += [
             float(np.hypot(*(true_ends - end).T).min())
             for end, is_closed in zip(learned, piece.closed, strict=True)
@@ -435,10 +469,33 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     }  # fmt: skip
 
 
-def _fit_of(found: LearnedMap, walls: Floats, true_path: Floats) -> tuple[float, Floats]:
+def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
+    """Return points (k, 2) on a wall (4,) at the same fractions of the length of a line (4,)."""
+    along = wall[2:] - wall[:2]
+    fractions = (samples - wall[:2]) @ along / float(along @ along)
+    moved: Floats = samples + (1.0 - fractions)[:, None] * (line - wall)[:2] + fractions[:, None] * (line - wall)[2:]
+    return moved
+
+
+def _fit_of(
+    found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats
+) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
     turn, shift = rigid_fit(found.path[:, :2], true_path)
-    return map_fit(np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2), walls, turn, shift)
+    ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2)
+    # Which parts of the surfaces are beside the learned walls depends a little on where these are.
+    for _ in range(1 if surfaces is None else 2):
+        turn, shift = map_fit(ends, _lines_of(found, walls, surfaces, turn, shift), turn, shift)
+    return turn, shift
+
+
+def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn: float, shift: Floats) -> Floats:
+    """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
+    measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
+    placed = (rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
+    line = np.array([wall.line for wall in found.walls])
+    beside = [lines_beside(walls, surfaces, placed[line == wall.line]) for wall in found.walls]
+    return np.array(beside).reshape(len(line), len(walls), 4)
 
 
 def _turn_between(wall: Floats, learned: Floats) -> float:
@@ -493,7 +550,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     # 1. The map, from the recording alone.
     began = time.process_time()
     log = disturbed(driven.log, trial.disturbance, trial.seed)
-    estimate = learn_map(log, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
+    estimate = learn_map(log, THESIS_ODOMETRY, trial.sonar, rays=trial.rays)
     found = describe(estimate)
     seconds = time.process_time() - began
     # 2. Against the truth.
@@ -501,7 +558,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
     true_path = driven.truth_at(trajectory.instants_s)
     closing = (closing_error(found.path, true_path), closing_error(trajectory.odometry, true_path))
-    turn, shift = _fit_of(found, load_world(trial.world).walls, true_path[:, :2])
+    turn, shift = _fit_of(found, load_world(trial.world).walls, trial.surfaces, true_path[:, :2])
     own = true = math.nan
     if fresh is not None:
         if found.walls:

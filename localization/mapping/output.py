@@ -51,6 +51,7 @@ from localization.mapping.walls import (
     final_pose,
     parameter_covariance,
     passed_walls,
+    surface_lines,
 )
 from nclient.errors import NomadError
 from worlds.geometry import lengths, nearest_points
@@ -73,6 +74,8 @@ POST_IN: Final = 1.0
 POST_SPACE_IN: Final = 6.0
 """A point nearer to a wall or a post is an end or a corner of it; one nearer to the path is a mistake, as the robot's
 radius is larger."""
+MAX_SURFACE_STDS: Final = 0.5
+"""Highest standard deviation of a wall with a surface that is written, in standard deviations of its levels."""
 MARGIN_IN: Final = 15.0
 """Around the walls in the picture."""
 
@@ -321,7 +324,7 @@ def describe(
     """
     walls = extract_walls(estimate)
     # 1. The frame: the origin stays, the axes turn to the longest walls.
-    turn = axes_rad(walls, estimate.state.walls)
+    turn = axes_rad(walls, surface_lines(estimate)[0])
     pose = final_pose(estimate)
     path = np.concatenate((estimate.state.poses[:-1], pose[None]))
     path[:, :2] = rotate(path[:, :2], np.full(len(path), -turn))
@@ -345,7 +348,8 @@ def highest_std_in(estimate: MapEstimate) -> float:
     """Return the highest standard deviation of a wall that is written: that of a smooth one, and of its surface."""
     trajectory = estimate.problem.trajectory
     rough = trajectory.other_var_in2 - trajectory.step_in**2 / 12.0
-    return float(np.sqrt(MAX_STD_IN**2 + rough.mean()))
+    of_plane = float(np.sqrt(MAX_STD_IN**2 + rough.mean()))
+    return max(of_plane, MAX_SURFACE_STDS * estimate.problem.reflection.surface_std_in)
 
 
 def quality_of(estimate: MapEstimate, walls: Sequence[Piece]) -> Quality:

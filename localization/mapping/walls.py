@@ -32,7 +32,7 @@ from localization.mapping.association import (
 )
 from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
-from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
+from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 from worlds.world import WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
@@ -70,8 +70,8 @@ FACING_MARGIN: Final = 0.25
 """The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
 RECESS_IN: Final = 1.5
 """So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
-CLEAR_OF_ENDS_RAD: Final = radians(13.0)
-"""A point farther off the axis than this, half of a cone, reflects nothing."""
+CLEAR_OF_ENDS_RAD: Final = radians(0.5)
+"""A point farther off the axis than half of a cone and this reflects nothing."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
@@ -120,6 +120,14 @@ class Piece:
         return self.high - self.low
 
     @property
+    def measured_ends(self) -> Floats:
+        """The outermost reflecting spots (2, 2): coordinates along the line are the same in a turned frame."""
+        along = (self.ends[1] - self.ends[0]) / self.length_in
+        coordinates = np.array((self.low, self.high))
+        spots: Floats = self.ends[0] + (coordinates - self.ends[0] @ along)[:, None] * along
+        return spots
+
+    @property
     def accuracy(self) -> WallAccuracy:
         """Accuracy as a world file states it, above 0: after their rigid fit two walls alone have exact offsets."""
         return WallAccuracy(max(round(self.std_in, 4), MIN_STD_IN), round(self.std_rad, 5), round(self.measured_in, 2))
@@ -159,7 +167,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     # 1. Lines, and the paths that have crossed them.
     starts, ends = free_paths(estimate)
     lines = []
-    for angle, offset in estimate.state.walls:
+    for angle, offset in surface_lines(estimate)[0]:
         normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
         lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
@@ -175,7 +183,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
         )
     ]  # fmt: skip
     # 3. Ends.
-    pieces = _with_ends(pieces, lines, points)
+    pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
     _add_accuracy(estimate, pieces, lines)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
@@ -198,7 +206,7 @@ def _reflected_paths(estimate: MapEstimate, among: Mask) -> tuple[Floats, Floats
     # The last inches before a reflecting spot may belong to another wall of the same corner.
     span = spot - face
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)[:, None]
-    return face, face + span * np.maximum(length - BLOCKED_IN, 0.0) / length, feature[fits]
+    return face, face + span * np.maximum(length - estimate.blocked_in, 0.0) / length, feature[fits]
 
 
 def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
@@ -281,6 +289,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
     axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
     segments = estimate.blocking
+    clear_rad = estimate.problem.reflection.half_cone_rad + CLEAR_OF_ENDS_RAD
     for number in np.flatnonzero(is_uncrossed):
         normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
         cosine = axis @ normal
@@ -294,11 +303,11 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
         directed &= (fraction > SPAN_MARGIN) & (fraction < 1.0 - SPAN_MARGIN)
         for x, y in ends[number].reshape(2, 2):
             bearing = np.arctan2(y - sensors.face[:, 1], x - sensors.face[:, 0])
-            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > CLEAR_OF_ENDS_RAD
+            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > clear_rad
         # What ends well before is measured off something else.
         directed &= sensors.range_in > np.abs(reach * cosine) - 1.0
         rows = np.flatnonzero(directed)
-        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments)]
+        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments, estimate.blocked_in)]
         gap = float(np.diff(np.sort([0.0, 1.0, *fraction[rows]])).max()) * lengths[ones[number], others[number]]
         found.append(
             Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap, bool(closes[number]))
@@ -385,15 +394,46 @@ def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offs
 
 
 def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
-    """Return the coordinates of the spots on a wall, without those that a point explains as well."""
+    """Return the coordinates along the fitted line of the spots on a wall, without those that a point explains."""
     state, echoes = estimate.state, estimate.echoes_of(wall)
     residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     walls = len(state.walls)
     own = np.abs(residual[:, wall])
     by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
     clear = (own < ROBUST_LIMIT) & ~(by_point < 1.5)
-    angle = state.walls[wall, 0]
+    angle = surface_lines(estimate)[0][wall, 0]
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
+
+
+def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
+    """Return the straight lines (w, 2) that fit the surfaces of walls best, and their derivatives (w, 2, 2 + l).
+
+    A wall whose levels are f_0 + k t at the coordinate t, in the mean square over its cells, is the line
+
+        angle' = angle - atan k,   offset' = (offset + f_0) cos(atan k)
+
+    of a plane the line itself. The derivatives are those by the wall's own angle and offset, and by all l levels.
+    """
+    walls, levels = estimate.state.walls, estimate.state.levels
+    lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
+    by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
+    for number, (angle, offset) in enumerate(walls):
+        own = levels.of(number)
+        t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+        if not len(t):
+            continue
+        # 1. f_0 and k are linear in the levels; a single cell has no slope.
+        fit = np.linalg.pinv(np.stack((np.ones_like(t), t), axis=-1)) if len(t) > 1 else np.array(((1.0,), (0.0,)))
+        f_0, k = fit @ levels.value_in[own]
+        turn = -np.arctan(k)
+        lines[number] = angle + turn, (offset + f_0) * np.cos(turn)
+        # 2. Derivatives.
+        by_k = -1.0 / (1.0 + k * k)
+        columns = slice(WALL + own.start, WALL + own.stop)
+        by_unknowns[number, 0, columns] = by_k * fit[1]
+        by_unknowns[number, 1, columns] = np.cos(turn) * fit[0] - (offset + f_0) * np.sin(turn) * by_k * fit[1]
+        by_unknowns[number, 1, 1] = np.cos(turn)
+    return lines, by_unknowns
 
 
 def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
@@ -470,15 +510,16 @@ class _Corner:
     other_end: int | None
 
 
-def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats) -> list[Piece]:
+def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats, have_posts: bool = False) -> list[Piece]:
     """Return pieces whose ends are moved to corners, points and other walls, without those that then have no length.
 
     Both ends of a short piece across another wall move to where it crosses. It is no wall, and nothing ends at it.
+    Where walls have posts, a point on the line before a corner is no end of it.
     """
     while True:
         # 1. As if all of them were walls.
         found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
-        _join_corners(found, lines, points)
+        _join_corners(found, lines, points[:0] if have_posts else points)
         _move_ends_to_points(found, lines, points)
         _close_small_gaps(found, lines)
         # 2. Once more without those that are none.
@@ -602,6 +643,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     if not pieces:
         return
     covariance, state = covariance_of(estimate), estimate.state
+    walls = surface_lines(estimate)[0]
     rows = 2 * (len(pieces) + len(state.points))
     A, N = np.zeros((rows, len(covariance))), np.zeros((rows, POSE))
     for number, piece in enumerate(pieces):
@@ -627,7 +669,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     for piece in pieces:
         stds: list[float | None] = [None, None]
         for end in range(2):
-            derivative = end_derivative(state.walls, state.points, piece.line, piece.ends[end])
+            derivative = end_derivative(walls, state.points, piece.line, piece.ends[end])
             if not piece.closed[end] or derivative is None:
                 continue
             along, place = lines[piece.line].along, piece.ends[end]
@@ -670,8 +712,20 @@ def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Fl
 
 
 def covariance_of(estimate: MapEstimate) -> Floats:
-    """Return the covariance (m, m) of walls, points and parameters."""
-    return estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+    """Return the covariance (m, m) of the lines of walls, points and parameters."""
+    covariance = estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+    state = estimate.state
+    if not len(state.levels):
+        return covariance
+    # Of the lines through the surfaces, which are linear in walls and levels.
+    _, by_unknowns = surface_lines(estimate)
+    count = len(covariance) - len(state.levels)
+    J = np.eye(count, len(covariance))
+    for number, derivative in enumerate(by_unknowns):
+        own = slice(WALL * number, WALL * (number + 1))
+        J[own, own], J[own, count:] = derivative[:, :WALL], derivative[:, WALL:]
+    found: Floats = J @ covariance @ J.T
+    return found
 
 
 def parameter_covariance(estimate: MapEstimate) -> Floats:

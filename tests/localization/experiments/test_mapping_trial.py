@@ -16,16 +16,19 @@ from localization.experiments.mapping import (
     closing_error,
     disturbed,
     fit_error,
+    lines_beside,
     map_fit,
     read_scores,
     score,
     table,
     visible_samples,
 )
+from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.consistency import Part
+from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rigid_fit, rotate
-from localization.mapping.output import LearnedMap, Quality
+from localization.mapping.output import LearnedMap, Quality, describe
 from localization.mapping.walls import Piece
 from tests.localization.mapping.drives import drive
 from worlds.io import load_world
@@ -181,3 +184,38 @@ def test_trial_finds_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.own_map_in - found.true_map_in < 0.3
     rows = mapping.summarize([found])
     assert ["thesis_room, centre_vertex: runs with all walls", "99 %", "1 of 1"] in rows
+
+
+def test_true_wall_of_a_surface_is_its_best_straight_line() -> None:
+    trial = Trial("thesis_room", "building", 3)
+    walls, surfaces = load_world("thesis_room").walls, trial.surfaces
+    assert surfaces is not None
+    assert lines_beside(walls, None, np.zeros((1, 2, 2))) is walls
+    # Beside a part of the wall at the bottom, from x = 20 to 80: by the normal equations, 10 places to an inch.
+    lines = lines_beside(walls, surfaces, np.array([[[80.0, -9.0], [20.0, -9.0]]]))
+    low = int(np.argmin(walls[:, 1] + walls[:, 3]))
+    x1, y1, x2, _ = walls[low]
+    x = np.arange(20.05, 80.0, 0.1)
+    level = surfaces.of(walls[low]).level_in(np.abs(x - x1))
+    sign = np.sign(x2 - x1)  # to the left of the wall
+    (at_0, slope), *_ = np.linalg.lstsq(np.stack((np.ones_like(x), x), axis=-1), y1 + sign * level, rcond=None)
+    along = np.linspace(lines[low, :2], lines[low, 2:], 100)
+    along = along[(along[:, 0] > 20.0) & (along[:, 0] < 80.0)]
+    np.testing.assert_allclose(along[:, 1], at_0 + slope * along[:, 0], atol=0.1)
+    # The plane is no such line.
+    assert np.abs(lines[low] - walls[low]).max() > 0.2
+
+
+@pytest.mark.long
+def test_walls_with_surfaces_are_mapped_as_they_are_measured(tmp_path: Path) -> None:
+    trial = Trial("thesis_room", "building", 3, 100.0)
+    driven = mapping.drive(trial, mapping.TOURS["thesis_room"], tmp_path)
+    estimate = learn_map(driven.log, THESIS_ODOMETRY, trial.sonar)
+    found, trajectory = describe(estimate), estimate.problem.trajectory
+    numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
+    assert found.reason_to_refuse() == ""
+    assert (numbers["found"], numbers["false"]) == (4, 0)
+    assert max(numbers["offsets_in"]) < 0.5
+    assert numbers["path_in"] < 0.5
+    # Levels, where the walls have them: as far from the line as the surface is.
+    assert np.std(estimate.state.levels.value_in) > 0.8

@@ -14,7 +14,15 @@ from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import join_points, prune, swallow
 from localization.mapping.output import describe, summary
-from localization.mapping.walls import extract_walls, free_paths, pass_through, passed_walls, uncrossed_spans
+from localization.mapping.problem import LEVEL_CELL_IN, Levels
+from localization.mapping.walls import (
+    extract_walls,
+    free_paths,
+    pass_through,
+    passed_walls,
+    surface_lines,
+    uncrossed_spans,
+)
 from worlds.io import format_world, load_world
 
 
@@ -236,3 +244,53 @@ def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeyp
     # Of a map that is known only in part nothing is written.
     monkeypatch.setattr(output, "highest_std_in", lambda _: 0.5 * (stds[0] + stds[1]))
     assert "of its 4 walls are known well enough" in describe(estimate).reason_to_refuse()
+
+
+# Surfaces.
+
+
+def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
+    """Return the map with levels of its first two walls, the second one's a single cell."""
+    rng = np.random.default_rng(seed)
+    found, cells = estimate.copy(), np.array([*range(-6, 9), 3])
+    levels = Levels(np.array([0] * 15 + [1]), cells, 1.6 * rng.normal(size=16), np.zeros(16))
+    found.state = replace(found.state, levels=levels)
+    return found
+
+
+def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -> None:
+    found = with_surface(estimate, 3)
+    lines, _ = surface_lines(found)
+    state = found.state
+    for number, count in ((0, 15), (1, 1)):
+        (angle, offset), own = state.walls[number], state.levels.of(number)
+        assert own.stop - own.start == count
+        # In the frame of the wall, x along it: a polynomial fit, and the distance of its line from places.
+        t, b = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5), state.levels.value_in[own]
+        slope, at_0 = np.polyfit(t, b, 1) if count > 1 else (0.0, b[0])
+        n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        line_angle, line_offset = lines[number]
+        for x in (-30.0, 0.0, 70.0):
+            place = n * (offset + at_0 + slope * x) + u * x
+            off = place @ (np.cos(line_angle), np.sin(line_angle)) - line_offset
+            assert off == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_array_equal(lines[2:], state.walls[2:])
+
+
+def test_derivatives_of_the_line_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
+    found, h = with_surface(estimate, 4), 1e-6
+    walls_of, levels = found.state.walls, found.state.levels
+    _, by_unknowns = surface_lines(found)
+    for number in (0, 1, 2):
+        for column in range(2 + len(levels)):
+            ends = []
+            for sign in (1.0, -1.0):
+                changed = found.copy()
+                moved, values = walls_of.copy(), levels.value_in.copy()
+                if column < 2:
+                    moved[number, column] += sign * h
+                else:
+                    values[column - 2] += sign * h
+                changed.state = replace(found.state, walls=moved, levels=replace(levels, value_in=values))
+                ends.append(surface_lines(changed)[0][number])
+            np.testing.assert_allclose(by_unknowns[number, :, column], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
