@@ -63,11 +63,11 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import RobotState, Truth
 from nserver_emu.simulation.acoustics import Polaroid, Surfaces
 from nserver_emu.simulation.noise import SETUPS as SIMULATIONS
-from worlds.geometry import lengths, nearest_points
-from worlds.io import load_world
+from worlds.geometry import lengths, nearest_points, polygon_segments
+from worlds.io import format_world, load_world
 from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
-from worlds.world import World
+from worlds.world import Polygon, StartPose, World
 
 Point = tuple[float, float]
 
@@ -101,7 +101,21 @@ FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
 }
 """Waypoints of the drive that compares localization on the learned and on the true map."""
 TIME_LIMIT_S: Final = 300.0
-FLAT: Final = "flat"
+FLAT, BOXES = "flat", "boxes"
+"""Worlds that are explored only."""
+BOX_ROOM: Final = World(
+    BOXES, "A room with two boxes and a post",
+    rooms=(Polygon(((0.0, 0.0), (142.0, 0.0), (142.0, 114.0), (0.0, 114.0))),),
+    obstacles=(
+        Polygon(((40.0, 64.0), (52.0, 64.0), (52.0, 76.0), (40.0, 76.0)), "box"),
+        Polygon(((92.348, 35.641), (109.568, 43.671), (103.652, 56.359), (86.432, 48.329)), "box askew"),
+        Polygon(((103.0, 85.0), (105.0, 85.0), (105.0, 87.0), (103.0, 87.0)), "post"),
+    ),
+    starts=(StartPose(22.0, 24.0),),
+)  # fmt: skip
+"""142 by 114 in; boxes of 12 by 12 and, askew, of 19 by 14 in; a post of 2 by 2 in."""
+MIN_BOX_IN: Final = 6.0
+"""Shortest side of an obstacle whose outline a map should have; others are posts."""
 EXPLORE_IN_S, EXPLORE_RAD_S = 6.0, 0.6
 """Top speeds of `nomad map learn`."""
 RADIUS_IN: Final = 2.0
@@ -176,6 +190,9 @@ class Score:
         RMSE of the learned path and of the encoders, after the best rigid fit each.
     true_map_in, own_map_in
         RMSE of a localization on another drive with the true map and with the learned one.
+    boxes, closed, false_outlines
+        Number of boxes in the world, of those whose outline the map has closed, all corners within 1 in, and of learned
+        outlines that are none.
     closing_in, odometry_closing_in
         Error of the last position in the frame of the first pose, of the learned path and of the encoders.
     """
@@ -202,9 +219,26 @@ class Score:
     live_seconds: float = 0.0
     closing_in: float = 0.0
     odometry_closing_in: float = 0.0
+    boxes: int = 0
+    closed: int = 0
+    false_outlines: int = 0
 
 
 # A drive.
+
+
+def world_of(name: str) -> World:
+    """Return the world of a trial."""
+    return BOX_ROOM if name == BOXES else load_world(name)
+
+
+def _source_of(name: str, folder: Path) -> str:
+    """Return the world of a trial as an address names it: by its name, or a file in a folder."""
+    if name != BOXES:
+        return name
+    path = folder / f"{name}.toml"
+    path.write_text(format_world(BOX_ROOM), encoding="utf-8")
+    return str(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +259,11 @@ class Drive:
 def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
     """Return a drive along waypoints, steered by the true pose."""
     path = folder / f"{trial.world}_{trial.setup}_{trial.seed}.log"
-    start = load_world(trial.world).starts[LONG_STARTS.get(trial.world, 0)]
+    start = world_of(trial.world).starts[LONG_STARTS.get(trial.world, 0)]
     navigator = Navigator(points, radius_in=RADIUS_IN)
     truth = []
-    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
+    source = _source_of(trial.world, folder)
+    address = f"sim:{source}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
     with connect(f"{address}&step_s=0.1&record={path}") as robot, stop_on_exit(robot):
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         robot.set_timeout(COMMAND_TIMEOUT_S)
@@ -289,7 +324,8 @@ def explore(trial: Trial, folder: Path) -> Drive:
         )
         return mappers[-1]
 
-    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&step_s=0.1&record={path}"
+    source = _source_of(trial.world, folder)
+    address = f"sim:{source}?setup={trial.setup}&seed={trial.seed}&step_s=0.1&record={path}"
     with connect(address) as robot:
         for step, _, log in survey(robot, N150, mapper_of, explorer, limits, lambda _: None):
             seen = robot.truth()
@@ -417,19 +453,23 @@ def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Flo
 
 def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, odometry: Floats) -> dict[str, Any]:
     """Return the numbers of a learned map against the world's walls."""
-    walls = load_world(trial.world).walls
+    walls = world_of(trial.world).walls
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
     turn, shift = _fit_of(found, walls, trial.surfaces, true_path)
     ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
     beside = _lines_of(found, walls, trial.surfaces, turn, shift)
+    sides = [
+        (rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
+        for outline in found.outlines for side in polygon_segments(outline.corners)
+    ]  # fmt: skip
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
     covered, missing, near_samples = 0, [], 0
     samples = visible_samples(walls, true_path[:: max(len(true_path) // 60, 1)])
     visible = [k for k, points in enumerate(samples) if len(points) >= 4]
     for k in visible:
         near = np.zeros(len(samples[k]), dtype=np.bool_)
-        for learned, lines in zip(ends, beside, strict=True):
+        for learned, lines in (*zip(ends, beside, strict=True), *sides):
             if _turn_between(lines[k], learned) <= FOUND_RAD:
                 places = _moved_onto(samples[k], walls[k], lines[k])
                 near |= nearest_points(places, learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
@@ -465,8 +505,24 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         "seen": near_samples / max(sum(len(samples[k]) for k in visible), 1),
         "precision": near_length / total if total else 0.0, "offsets_in": offsets, "angles_deg": angles,
         "ends_in": corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
-        "odometry_in": fit_error(odometry, true_path),
+        "odometry_in": fit_error(odometry, true_path), **_outline_score(world_of(trial.world), found, turn, shift),
     }  # fmt: skip
+
+
+def _outline_score(world: World, found: LearnedMap, turn: float, shift: Floats) -> dict[str, int]:
+    """Return the numbers of boxes, of those whose outline is closed, and of false outlines."""
+    boxes = [np.array(solid.corners_in) for solid in world.obstacles if lengths(solid.segments()).min() >= MIN_BOX_IN]
+    outlines = [rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
+
+    def is_of(outline: Floats, box: Floats) -> bool:
+        away = np.hypot(*(outline[:, None] - box).transpose(2, 0, 1))
+        return bool(max(away.min(axis=0).max(), away.min(axis=1).max()) <= FOUND_IN)
+
+    return {
+        "boxes": len(boxes),
+        "closed": sum(any(is_of(outline, box) for outline in outlines) for box in boxes),
+        "false_outlines": sum(not any(is_of(outline, box) for box in boxes) for outline in outlines),
+    }
 
 
 def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
@@ -558,7 +614,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
     true_path = driven.truth_at(trajectory.instants_s)
     closing = (closing_error(found.path, true_path), closing_error(trajectory.odometry, true_path))
-    turn, shift = _fit_of(found, load_world(trial.world).walls, trial.surfaces, true_path[:, :2])
+    turn, shift = _fit_of(found, world_of(trial.world).walls, trial.surfaces, true_path[:, :2])
     own = true = math.nan
     if fresh is not None:
         if found.walls:
@@ -603,6 +659,7 @@ def summarize(scores: Sequence[Score], name: str = "measured") -> list[list[str]
         ["runs", "100", str(len(scores))],
         *_rows_of_walls(scores),
         ["visible length found: mean, worst", "90 % of a flat", _shares([score.seen for score in scores])],
+        *_rows_of_boxes(scores),
         *_rows_of_exploration([score for score in scores if score.trial.explores]),
         ["false walls", "1 in 50 runs", f"{sum(score.false for score in scores)} in {len(scores)} runs"],
         ["precision: mean, worst", "99 %, 90 %", _shares([score.precision for score in scores])],
@@ -633,6 +690,17 @@ def _rows_of_walls(scores: Sequence[Score]) -> list[list[str]]:
         inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
         rows.append(["several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}"])
     return rows
+
+
+def _rows_of_boxes(scores: Sequence[Score]) -> list[list[str]]:
+    """Return the rows of closed outlines; none without boxes or outlines."""
+    boxes, false = sum(score.boxes for score in scores), sum(score.false_outlines for score in scores)
+    if not boxes + false:
+        return []
+    return [
+        ["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
+        ["false outlines", "0", str(false)],
+    ]
 
 
 def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
@@ -679,8 +747,8 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of files are propagated."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if FLAT in options.worlds and not options.explore:
-        parser.error(f"{FLAT} has no waypoints: add --explore")
+    if {FLAT, BOXES} & set(options.worlds) and not options.explore:
+        parser.error(f"{FLAT} and {BOXES} have no waypoints: add --explore")
     trials = [
         Trial(world, setup, seed, options.time_limit, options.explore, options.disturb or "")
         for world in options.worlds
@@ -715,7 +783,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
         epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
     )
-    add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT), list(TOURS), f"worlds; {FLAT} with --explore alone")
+    add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT, BOXES), list(TOURS),
+               f"worlds; {FLAT} and {BOXES} with --explore alone")
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")
     parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S",
                         help="end a drive after this time in s (default: %(default)s)")  # fmt: skip

@@ -4,6 +4,7 @@
     2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
     3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end
     4. accuracy   covariance of the walls after the best rigid fit, since the frame of a map is free
+    5. outlines   sides and corners of boxes that lead around a place that no path has crossed
 
 References
 ----------
@@ -12,7 +13,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
@@ -72,6 +73,17 @@ RECESS_IN: Final = 1.5
 """So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
 CLEAR_OF_ENDS_RAD: Final = radians(0.5)
 """A point farther off the axis than half of a cone and this reflects nothing."""
+MAX_BOX_IN: Final = 40.0
+"""Longest side of a box: a longer wall is one of a room, or of a part of it that was not entered."""
+SAME_CORNER_IN: Final = 2.5
+"""Ends of walls and points nearer than this are one corner of a box."""
+MAX_SKEW_IN: Final = 4.0
+"""Distance of the fourth corner of a box from where a parallelogram has it."""
+MIN_SIDES: Final = 3
+"""Sides of a box that are walls or silent, so that its corners are known; the fourth may be neither. Fewer do if all
+corners are points, and sonars that were directed between them, MIN_STOPPED to all sides together, measured nothing."""
+OUTSIDE: Final = 0.9
+"""Least fraction of the sonars that measured a side of a box which were outside."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
@@ -136,6 +148,22 @@ class Piece:
     def length_in(self) -> float:
         """Length between the ends, inches."""
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """The closed outline of a box.
+
+    Attributes
+    ----------
+    corners
+        (4, 2) in order, inches.
+    walls
+        Numbers of the walls along its sides; a side that is closed by its corners alone has none.
+    """
+
+    corners: Floats
+    walls: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -628,6 +656,91 @@ def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
                     nearest = int(np.abs(other.ends @ line.along - coordinate).argmin())
                     if not coordinates[0] <= coordinate <= coordinates[1]:
                         other.ends[nearest], other.closed[nearest] = place, True
+
+
+# Outlines.
+
+
+def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outline]:
+    """Return the closed outlines of boxes, of walls with ends and of points.
+
+    A box has four corners, each at the end of a wall or at a point. At least MIN_SIDES of its sides are walls, or
+    silent: sound should have passed there, and has not; or it has not passed all sides together. No path of sound or of
+    the robot has crossed a side or a diagonal, and its walls were measured from outside: what lies between a box and a
+    wall beside it is not seen either, and no box.
+    """
+    paths = free_paths(estimate)
+    ends = np.array([piece.ends for piece in pieces]).reshape(-1, 2)
+    corners, number_of = _corners_of(np.concatenate((ends, estimate.state.points)))
+    # 1. Sides: walls, and spans between two points that stop sound.
+    walls = {
+        (min(one, other), max(one, other)): number
+        for number, (one, other) in enumerate(number_of[: len(ends)].reshape(-1, 2).tolist())
+        if one != other and pieces[number].length_in <= MAX_BOX_IN
+    }
+    points = number_of[len(ends) :]
+    spans = {
+        (min(one, other), max(one, other)): span
+        for span in uncrossed_spans(estimate, paths)
+        for one, other in [points[[span.one, span.other]].tolist()]
+    }  # fmt: skip
+    # 2. Two sides that meet, and the fourth corner.
+    found: dict[tuple[int, ...], Outline] = {}
+    for a, b, c in _meeting([*walls, *(side for side in spans if side not in walls)]):
+        away = np.hypot(*(corners - (corners[a] + corners[c] - corners[b])).T)
+        for d in np.flatnonzero(away <= MAX_SKEW_IN).tolist():
+            around = [(min(pair), max(pair)) for pair in pairwise((a, b, c, d, a))]
+            own = tuple(walls[side] for side in around if side in walls)
+            own_spans = [spans[side] for side in around if side in spans]
+            known = sum(side in walls or (side in spans and spans[side].is_wall) for side in around)
+            is_silent = len(own_spans) == len(around) and sum(span.stopped for span in own_spans) >= MIN_STOPPED
+            place = corners[[a, b, c, d]]
+            if len({a, b, c, d}) < 4 or not (known >= MIN_SIDES or is_silent) or tuple(sorted((a, b, c, d))) in found:
+                continue
+            if not _is_entered(place, paths) and all(_is_outside(estimate, pieces[row], place) for row in own):
+                found[tuple(sorted((a, b, c, d)))] = Outline(place, own)
+    return list(found.values())
+
+
+def _corners_of(places: Floats) -> tuple[Floats, Indices]:
+    """Return the different ones (k, 2) of places (n, 2), and the number of each place."""
+    corners, numbers = list[Floats](), []
+    for place in places:
+        away = [float(np.hypot(*(place - corner))) for corner in corners]
+        nearest = int(np.argmin(away)) if away else 0
+        if not away or away[nearest] > SAME_CORNER_IN:
+            nearest = len(corners)
+            corners.append(place)
+        numbers.append(nearest)
+    return np.array(corners).reshape(-1, 2), np.array(numbers, dtype=np.intp)
+
+
+def _meeting(sides: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int, int]]:
+    """Yield the corners of two sides that have one in common, which is the second of the three."""
+    for row, one in enumerate(sides):
+        for other in sides[row + 1 :]:
+            if common := set(one) & set(other):
+                (b,) = common
+                yield sum(one) - b, b, sum(other) - b
+
+
+def _is_entered(corners: Floats, paths: tuple[Floats, Floats]) -> bool:
+    """Return True if paths have crossed a side or a diagonal of a box with these corners (4, 2)."""
+    ones, others = corners[[0, 1, 2, 3, 0, 1]], corners[[1, 2, 3, 0, 2, 3]]
+    along = (others - ones) / np.maximum(np.hypot(*(others - ones).T), 1e-9)[:, None]
+    inner = np.concatenate((ones + BLOCKED_IN * along, others - BLOCKED_IN * along), axis=1)
+    return bool((crossings(*paths, inner).sum(axis=0) >= MIN_CROSSINGS).any())
+
+
+def _is_outside(estimate: MapEstimate, piece: Piece, corners: Floats) -> bool:
+    """Return True if the sonars that measured a wall were on the other side of it than the middle of a box (4, 2)."""
+    state, echoes = estimate.state, estimate.echoes_of(piece.line)
+    face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
+    along = (piece.ends[1] - piece.ends[0]) / piece.length_in
+    normal, at = np.array((-along[1], along[0])), (face - piece.ends[0]) @ along
+    beside = face[(at > 0.0) & (at < piece.length_in)]
+    inward = float((corners.mean(axis=0) - piece.ends[0]) @ normal)
+    return not len(beside) or float(((beside - piece.ends[0]) @ normal * inward < 0.0).mean()) >= OUTSIDE
 
 
 # Accuracy.

@@ -1,7 +1,7 @@
 """The comparison of learned maps with true ones, on maps whose errors are known, and one trial end to end."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,12 @@ from localization.experiments.mapping import (
 )
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Floats, wrap_angle
+from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.consistency import Part
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rigid_fit, rotate
-from localization.mapping.output import LearnedMap, Quality, describe
-from localization.mapping.walls import Piece
+from localization.mapping.output import LearnedMap, Quality, describe, draw_learned
+from localization.mapping.walls import Outline, Piece
 from tests.localization.mapping.drives import drive
 from worlds.io import load_world
 from worlds.robots import IDEAL_CALIBRATION
@@ -219,3 +220,33 @@ def test_walls_with_surfaces_are_mapped_as_they_are_measured(tmp_path: Path) -> 
     assert numbers["path_in"] < 0.5
     # Levels, where the walls have them: as far from the line as the surface is.
     assert np.std(estimate.state.levels.value_in) > 0.8
+
+
+def test_outline_counts_as_closed_where_its_box_is() -> None:
+    times = np.arange(len(PATH), dtype=np.float64)
+    driven = Drive(drive(), np.column_stack((times, PATH, np.zeros(len(PATH)))))
+    turn, shift = 0.7, np.array((30.0, -20.0))
+    room = learned(mapping.BOX_ROOM.walls, turn, shift)
+    numbers = []
+    for off in (0.0, 0.9, 3.0):
+        corners = np.array(mapping.BOX_ROOM.obstacles[1].corners_in)[::-1] + np.array((off, 0.0))
+        back = rotate(corners - shift, np.full(4, -turn))
+        found = replace(room, outlines=(Outline(back, ()),))
+        result = score(TRIAL._replace(world="boxes"), driven, found, times, PATH)
+        numbers.append((result["boxes"], result["closed"], result["false_outlines"]))
+    assert numbers == [(2, 1, 0), (2, 1, 0), (2, 0, 1)]
+
+
+@pytest.mark.long
+def test_boxes_that_a_robot_passes_have_closed_outlines(tmp_path: Path) -> None:
+    around = ((60, 26), (70, 24), (122, 22), (122, 70), (78, 76), (72, 96), (22, 92), (22, 50), (66, 44), (68, 70))
+    driven = mapping.drive(Trial("boxes", "measured", 3), around, tmp_path)
+    estimate = learn_map(driven.log, THESIS_ODOMETRY, ConeSonar())
+    found, trajectory = describe(estimate), estimate.problem.trajectory
+    numbers = score(
+        TRIAL._replace(world="boxes"), driven, found, trajectory.instants_s, trajectory.odometry[:, :2]
+    )  # fmt: skip
+    assert (numbers["closed"], numbers["false_outlines"], numbers["false"]) == (2, 0, 0)
+    # A picture has them as well.
+    draw_learned(tmp_path / "boxes.png", found, estimate)
+    assert (tmp_path / "boxes.png").stat().st_size > 10_000

@@ -17,6 +17,7 @@ from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, Levels
 from localization.mapping.walls import (
     extract_walls,
+    find_outlines,
     free_paths,
     pass_through,
     passed_walls,
@@ -244,6 +245,100 @@ def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeyp
     # Of a map that is known only in part nothing is written.
     monkeypatch.setattr(output, "highest_std_in", lambda _: 0.5 * (stds[0] + stds[1]))
     assert "of its 4 walls are known well enough" in describe(estimate).reason_to_refuse()
+
+
+# Closed outlines.
+
+BOX = ((20.0, 100.0), (32.0, 100.0), (32.0, 112.0), (20.0, 112.0))
+
+
+def boxed(estimate: MapEstimate, sides: int) -> tuple[MapEstimate, list[walls.Piece]]:
+    """Return the map with the corners of a box that no path has reached, and its walls along so many sides."""
+    found = estimate.copy()
+    for corner in BOX:
+        found.add_point(np.array(corner))
+    pieces = extract_walls(estimate)
+    for one, other in list(zip(BOX, (*BOX[1:], BOX[0]), strict=True))[:sides]:
+        pieces.append(walls.Piece(99, 0.0, 0.0, np.array((one, other)), [True, True], 9))
+    return found, pieces
+
+
+def test_three_walls_of_a_box_are_a_closed_outline(estimate: MapEstimate) -> None:
+    found, pieces = boxed(estimate, 3)
+    (outline,) = find_outlines(found, pieces)
+    assert sorted(outline.corners.tolist()) == sorted(map(list, BOX))
+    assert sorted(outline.walls) == [len(pieces) - 3, len(pieces) - 2, len(pieces) - 1]
+    # In order: along the sides, not along a diagonal.
+    closed = np.concatenate((outline.corners, outline.corners[:1]))
+    np.testing.assert_allclose(np.hypot(*np.diff(closed, axis=0).T), 12.0)
+    # Two walls and four corners are none while nothing tells that the other sides stop sound.
+    assert find_outlines(*boxed(estimate, 2)) == []
+
+
+@pytest.mark.parametrize("end", [(26.0, 108.0), (45.0, 106.0)])  # inside, and beyond
+def test_outline_is_not_closed_through_free_space(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, end: tuple[float, float]
+) -> None:
+    found, pieces = boxed(estimate, 3)
+    for count, outlines in ((1, 1), (2, 0)):  # a single path may be a mistaken echo
+        paths = np.tile((10.0, 106.0), (count, 1)), np.tile(end, (count, 1)) + np.arange(count)[:, None]
+        monkeypatch.setattr(walls, "free_paths", lambda _, paths=paths: paths)
+        assert len(find_outlines(found, pieces)) == outlines
+
+
+def test_outline_of_walls_measured_from_inside_is_no_box(estimate: MapEstimate) -> None:
+    # The room itself, if it were as small as a box.
+    pieces = extract_walls(estimate)
+    assert find_outlines(estimate, pieces) == []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(walls, "MAX_BOX_IN", 200.0)
+        patch.setattr(walls, "free_paths", lambda _: (np.zeros((0, 2)), np.zeros((0, 2))))
+        assert find_outlines(estimate, pieces) == []
+        patch.setattr(walls, "OUTSIDE", 0.0)
+        assert len(find_outlines(estimate, pieces)) == 1
+
+
+@pytest.mark.parametrize(("stopped", "outlines"), [
+    ((4, 4, 0, 0), 1), ((4, 4, None, None), 0), ((4, 4, 4, None), 1),  # two and three silent sides
+    ((2, 1, 1, 0), 1), ((1, 1, 1, 0), 0), ((2, 2, 2, None), 0),  # all four together; one has been crossed
+])  # fmt: skip
+def test_corners_between_which_no_sound_passes_are_a_closed_outline(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, stopped: tuple[int | None, ...], outlines: int
+) -> None:
+    found, pieces = boxed(estimate, 0)
+    first = len(found.state.points) - 4
+    assert find_outlines(found, pieces) == []
+    spans = [
+        walls.Span(first + k, first + (k + 1) % 4, np.array((*BOX[k], *BOX[(k + 1) % 4])), count)
+        for k, count in enumerate(stopped) if count is not None
+    ]  # fmt: skip
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: spans)
+    assert len(find_outlines(found, pieces)) == outlines
+
+
+def test_box_is_an_obstacle_of_the_world(estimate: MapEstimate, tmp_path: Path) -> None:
+    found = describe(estimate)
+    corners = np.array(BOX)
+    sides = [
+        walls.Piece(99, 0.0, 9.0, np.array(ends), [False, True], 9, 0.1, 0.01)
+        for ends in zip(BOX[:3], BOX[1:], strict=True)
+    ]
+    count = len(found.walls)
+    outline = walls.Outline(corners, (count, count + 1, count + 2))
+    points = np.concatenate((found.points, corners + (3.0, 0.0)))
+    found = replace(found, walls=(*found.walls, *sides), outlines=(outline,), points=points)
+    world = found.world("boxes")
+    assert [(solid.name, solid.corners_in) for solid in world.obstacles] == [("box 1", BOX)]
+    # Each wall once: in an outline, or by itself with its accuracy.
+    assert len(world.inner_walls) == len(world.accuracies) == count
+    file = tmp_path / "box.toml"
+    file.write_text(format_world(world))
+    assert load_world(file).walls.shape == (count + 4, 4)
+    assert found.as_json()["outlines_in"] == [corners.tolist()]
+    assert "closed outline: (20.0, 100.0), (32.0, 100.0)" in summary(found)
+    # Points at a box are no posts, and its sides have no open ends.
+    assert not len(found.posts)
+    assert found.open_ends == describe(estimate).open_ends
 
 
 # Surfaces.
