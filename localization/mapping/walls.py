@@ -82,6 +82,9 @@ MAX_SKEW_IN: Final = 4.0
 MIN_SIDES: Final = 3
 """Sides of a box that are walls or silent, so that its corners are known; the fourth may be neither. Fewer do if all
 corners are points, and sonars that were directed between them, MIN_STOPPED to all sides together, measured nothing."""
+SAME_START_IN, SAME_END_IN = 12.0, 6.0
+"""Paths of sound that begin and end nearer together are one: of a slanted wall a sonar receives what comes over
+other walls, again and again from one place, and its range may fit a corner far behind."""
 OUTSIDE: Final = 0.9
 """Least fraction of the sonars that measured a side of a box which were outside."""
 ON_LINE_IN: Final = 0.01
@@ -669,7 +672,7 @@ def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outlin
     the robot has crossed a side or a diagonal, and its walls were measured from outside: what lies between a box and a
     wall beside it is not seen either, and no box.
     """
-    paths = free_paths(estimate)
+    paths = _distinct(*free_paths(estimate))
     ends = np.array([piece.ends for piece in pieces]).reshape(-1, 2)
     corners, number_of = _corners_of(np.concatenate((ends, estimate.state.points)))
     # 1. Sides: walls, and spans between two points that stop sound.
@@ -700,6 +703,18 @@ def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outlin
             if not _is_entered(place, paths) and all(_is_outside(estimate, pieces[row], place) for row in own):
                 found[tuple(sorted((a, b, c, d)))] = Outline(place, own)
     return list(found.values())
+
+
+def _distinct(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return paths (p, 2) to (p, 2) without those that begin and end beside an earlier one; all steps of the robot."""
+    kept = np.zeros(len(starts), dtype=np.bool_)
+    is_step = np.hypot(*(ends - starts).T) < SAME_END_IN
+    for row in range(len(starts)):
+        there = np.flatnonzero(kept & ~is_step)
+        is_same = np.hypot(*(starts[there] - starts[row]).T) < SAME_START_IN
+        is_same &= np.hypot(*(ends[there] - ends[row]).T) < SAME_END_IN
+        kept[row] = is_step[row] or not is_same.any()
+    return starts[kept], ends[kept]
 
 
 def _corners_of(places: Floats) -> tuple[Floats, Indices]:

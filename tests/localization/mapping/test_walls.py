@@ -280,10 +280,17 @@ def test_outline_is_not_closed_through_free_space(
     estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, end: tuple[float, float]
 ) -> None:
     found, pieces = boxed(estimate, 3)
-    for count, outlines in ((1, 1), (2, 0)):  # a single path may be a mistaken echo
-        paths = np.tile((10.0, 106.0), (count, 1)), np.tile(end, (count, 1)) + np.arange(count)[:, None]
+    # A single path may be a mistaken echo, and the same from a place beside it is no other one.
+    for starts, outlines in (((10.0,), 1), ((10.0, 2.0), 1), ((10.0, -3.0), 0)):
+        paths = np.array([(x, 106.0) for x in starts]), np.tile(end, (len(starts), 1))
         monkeypatch.setattr(walls, "free_paths", lambda _, paths=paths: paths)
         assert len(find_outlines(found, pieces)) == outlines
+    # Two steps of a robot cross it, each of them a different side.
+    steps = np.array([(18.0, 106.0), (30.0, 105.0)]), np.array([(22.0, 106.0), (34.0, 105.0)])
+    monkeypatch.setattr(walls, "free_paths", lambda _: steps)
+    assert len(find_outlines(found, pieces)) == 1
+    monkeypatch.setattr(walls, "free_paths", lambda _: tuple(np.repeat(part, 2, axis=0) for part in steps))
+    assert not find_outlines(found, pieces)
 
 
 def test_outline_of_walls_measured_from_inside_is_no_box(estimate: MapEstimate) -> None:
