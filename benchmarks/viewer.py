@@ -36,7 +36,7 @@ from nclient.transports.listener import LOOPBACK
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.daemon import Daemon, rare_collection
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import serve_viewer
+from nserver_emu.viewer.server import ViewerServer, serve_viewer
 from worlds.world import StartPose
 
 TARGET_SHARE, PICTURES_A_SECOND = 0.05, 20.0
@@ -103,7 +103,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
     daemon = Metered(Emulator(SimulationConfig(start=START).simulation()), speed=None)
     port = await daemon.listen(LOOPBACK, 0)
     stop = asyncio.Event()
-    async with serve_viewer(daemon, LOOPBACK, 0) as lines:
+    async with serve_viewer(ViewerServer(daemon), LOOPBACK, 0) as lines:
         serving = asyncio.create_task(daemon.serve(stop))
         _, writer = await asyncio.open_connection(LOOPBACK, port)
         for call in (Call("connect_robot", (1, os.getpid())), Call("vm", ROUND_AND_ROUND)):

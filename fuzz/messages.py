@@ -19,6 +19,7 @@ from localization.live.run import parse_answer
 from nclient.errors import ControlError
 from nserver_emu.control.cli import format_result, parse_response
 from nserver_emu.control.commands import COMMANDS, answer_line
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.serial_session import FaultController
 from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_estimate, parse_message
@@ -33,7 +34,7 @@ _ARGUMENTS: dict[str, list[Any]] = {
 }  # fmt: skip
 
 
-class FakeServer:
+class FakeServer(Daemon):
     """A server without sockets, as far as control commands use it."""
 
     def __init__(self) -> None:

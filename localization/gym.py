@@ -59,13 +59,10 @@ class Localize(Task):
     """
 
     def __init__(
-        self,
-        start_std: tuple[float, float, float] = (0.3, 0.3, 0.2),
-        certain_std: tuple[float, float, float] = (0.02, 0.02, 0.015),
-        method: str = DEFAULT_METHOD,
-        *,
+        self, start_std: tuple[float, float, float] = (0.3, 0.3, 0.2),
+        certain_std: tuple[float, float, float] = (0.02, 0.02, 0.015), method: str = DEFAULT_METHOD, *,
         has_rays: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._start_std, self._certain_std = np.array(start_std) / IN_METRES, np.array(certain_std) / IN_METRES
         self._method, self._has_rays = method, has_rays
 

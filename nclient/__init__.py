@@ -33,29 +33,10 @@ if TYPE_CHECKING:
     from nclient.state import AxisCommand, AxisMode, Battery, Pose, RobotState, Truth
 
 __all__ = [
-    "AddressError",
-    "AsyncRobot",
-    "AxisCommand",
-    "AxisMode",
-    "Battery",
-    "BumperHit",
-    "ConnectionLost",
-    "LinkStatistics",
-    "NomadError",
-    "Pose",
-    "RecordingError",
-    "ReplyTimeout",
-    "Robot",
-    "RobotHeld",
-    "RobotRefused",
-    "RobotState",
-    "StartError",
-    "Truth",
-    "WireError",
-    "WorldFileError",
-    "connect",
-    "connect_async",
-]
+    "AddressError", "AsyncRobot", "AxisCommand", "AxisMode", "Battery", "BumperHit", "ConnectionLost", "LinkStatistics",
+    "NomadError", "Pose", "RecordingError", "ReplyTimeout", "Robot", "RobotHeld", "RobotRefused", "RobotState",
+    "StartError", "Truth", "WireError", "WorldFileError", "connect", "connect_async",
+]  # fmt: skip
 _MODULES = {
     "aio": ("AsyncRobot",),
     "backends.base": ("LinkStatistics",),

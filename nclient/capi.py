@@ -29,25 +29,13 @@ from typing import Any
 from nclient.backends.base import Backend
 from nclient.connector import ConnectOptions, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
+from nclient.protocol import types
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.layouts import MAX_LASER_READINGS, MOTION_LINE
 from nclient.protocol.replies import SIMPLE, Reply, text_of
-from nclient.protocol.types import (
-    CPU_RANGE_V,
-    EVERYTHING,
-    INFRARED_KEYS,
-    MOTOR_RANGE_V,
-    N150,
-    N200,
-    NO_STAMP,
-    SCOUT,
-    SLOTS,
-    SONAR_KEYS,
-    Position,
-    volts,
-)
+from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, N150, N200, Position, volts
 from nclient.state import WHEEL_IN_PER_DEG
 
 __all__ = [
@@ -66,7 +54,7 @@ __all__ = [
 ]  # fmt: skip
 
 TRUE, FALSE = 1, 0
-MODEL_N200, MODEL_N150, MODEL_SCOUT = N200.number, N150.number, SCOUT.number
+MODEL_N200, MODEL_N150, MODEL_SCOUT = N200.number, N150.number, types.SCOUT.number
 ROTATION_CONSTANT = WHEEL_IN_PER_DEG
 """Inches that a wheel of a Scout travels per degree of turn."""
 
@@ -254,7 +242,7 @@ def place_robot(x: int, y: int, th: int, tu: int) -> int:
 
 def ct() -> int:
     """Send Smask: the sensors and numbers that State has from now on."""
-    return _send("ct", Smask[0], *[int(bool(flag)) for flag in Smask[1:SLOTS]])
+    return _send("ct", Smask[0], *[int(bool(flag)) for flag in Smask[1:types.SLOTS]])
 
 
 def conf_ir(history: int, order: Ints) -> int:
@@ -338,7 +326,7 @@ def posInfraredRingGet(posData: Out) -> int:
 
     These are x, y, steer, turret, v_trans, v_steer, v_turret, time of the pose, time of the reading.
     """
-    return _fill(posData, [_stamp(key) for key in INFRARED_KEYS])
+    return _fill(posData, [_stamp(key) for key in types.INFRARED_KEYS])
 
 
 def posInfraredGet(posData: Out, infraredNumber: int) -> int:
@@ -348,7 +336,7 @@ def posInfraredGet(posData: Out, infraredNumber: int) -> int:
 
 def posSonarRingGet(posData: Out) -> int:
     """Fill posData with the position data of the sixteen sonars, each a list of nine numbers."""
-    return _fill(posData, [_stamp(key) for key in SONAR_KEYS])
+    return _fill(posData, [_stamp(key) for key in types.SONAR_KEYS])
 
 
 def posSonarGet(posData: Out, sonarNumber: int) -> int:
@@ -601,7 +589,7 @@ def _fill(target: Out, values: Sequence[Any] | None) -> int:
 
 
 def _stamp(key: str) -> list[int]:
-    return list(_client_state.stamps.get(key, NO_STAMP))
+    return list(_client_state.stamps.get(key, types.NO_STAMP))
 
 
 def _polygon(obs: Ints) -> Ints:

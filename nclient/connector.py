@@ -96,12 +96,9 @@ class Connector:
     """
 
     def __init__(
-        self,
-        address: Address,
-        options: ConnectOptions = ConnectOptions(),
-        *,
+        self, address: Address, options: ConnectOptions = ConnectOptions(), *,
         injector: Callable[[], Injector] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.address = address
         self.timeout_s = options.timeout_s if address.options.timeout_s is None else address.options.timeout_s
         self.robot_id = _agreed_robot_id(address, options)
@@ -208,13 +205,9 @@ class Connector:
             return self._start_tcp(stream)
         checks = self.address.options.checks
         return DirectBackend(
-            stream,
-            self.model,
-            hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
-            timeout_s=self.timeout_s,
-            checks=True if checks is None else checks,
-            link=self.link,
-        )
+            stream, self.model, hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
+            timeout_s=self.timeout_s, checks=True if checks is None else checks, link=self.link,
+        )  # fmt: skip
 
     def _start_tcp(self, stream: ByteStream) -> NserverBackend:
         return NserverBackend(

@@ -33,6 +33,7 @@ points.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import re
 import shlex
 import shutil
@@ -279,6 +280,13 @@ _GROUPS = frozenset({"all", "dev", "bench"})
 _REQUIREMENT = re.compile(r"""(?P<name>[\w.-]+).*extra == ["'](?P<extra>[\w-]+)["']""")
 _CLONE: Final = Path(__file__).parents[1]
 """The folder with pyproject.toml, if this is an editable installation of a clone."""
+
+
+def require_packages(option: str, extra: str, *packages: str) -> None:
+    """Raise ExtraMissing if a package that an option of nserver needs is not installed."""
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            raise ExtraMissing(f"{option} needs {package}: {install_command(extra)}")
 
 
 def install_hint(module: str) -> str:

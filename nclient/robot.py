@@ -19,37 +19,16 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
+from nclient import state as states
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
+from nclient.protocol import types
 from nclient.protocol.client_state import READ, RESTART, RING_PACKET, ClientState, RingReadings, parse_ring
 from nclient.protocol.commands import Call
 from nclient.protocol.layouts import MOTION_ARC, MOTION_LINE
 from nclient.protocol.replies import Reply, text_of
-from nclient.protocol.types import (
-    DEFAULT_SONAR_ORDER,
-    DEFAULT_SONAR_RATE,
-    SONAR_RATE_STEP_S,
-    SONAR_SLOTS,
-    Mask,
-    Model,
-    Position,
-    rad_from_tenths,
-    tenths_from_rad,
-    unwrap_word,
-)
-from nclient.state import (
-    WHEEL_IN_PER_DEG,
-    AxisCommand,
-    Points,
-    Pose,
-    RobotState,
-    Truth,
-    firing_order,
-    points_tenths,
-    snapshot,
-    state_html,
-    tenths_of,
-)
+from nclient.protocol.types import SONAR_SLOTS, Mask, Model, Position, rad_from_tenths, tenths_from_rad, unwrap_word
+from nclient.state import AxisCommand, Points, Pose, RobotState, Truth, points_tenths, tenths_of
 
 RING: Final = range(SONAR_SLOTS)
 _PACKET_HEAD: Final = 4
@@ -145,7 +124,7 @@ class Robot:
         # Replies update the client state, of which every exchange takes an immutable snapshot.
         if backend.greeting is not None:
             self._client_state.apply_reply(backend.greeting)
-        self._state = snapshot(self._client_state, backend.wire_state.model)
+        self._state = states.snapshot(self._client_state, backend.wire_state.model)
 
     def __enter__(self) -> Self:
         return self
@@ -171,7 +150,7 @@ class Robot:
         return self._backend.wire_state.model
 
     def _repr_html_(self) -> str:
-        return state_html(self.state, ", disconnected" if self.closed else "")
+        return states.state_html(self.state, ", disconnected" if self.closed else "")
 
     @property
     def closed(self) -> bool:
@@ -215,8 +194,7 @@ class Robot:
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def drive(
-        self, *,
-        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
         steering_deg_s: float | None = None, steering_rad_s: float | None = None,
         turret_deg_s: float | None = None, turret_rad_s: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -244,8 +222,7 @@ class Robot:
         )
 
     def move(
-        self, *,
-        translation_in: float | None = None, translation_m: float | None = None,
+        self, *, translation_in: float | None = None, translation_m: float | None = None,
         steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -273,8 +250,7 @@ class Robot:
         )
 
     def move_to(
-        self, *,
-        translation_in: float | None = None, translation_m: float | None = None,
+        self, *, translation_in: float | None = None, translation_m: float | None = None,
         steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -304,8 +280,7 @@ class Robot:
         return self._command("mv", *translation, *steering, *turret)
 
     def drive_wheels(
-        self, *,
-        right_in_s: float | None = None, left_in_s: float | None = None,
+        self, *, right_in_s: float | None = None, left_in_s: float | None = None,
         right_m_s: float | None = None, left_m_s: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
@@ -314,8 +289,7 @@ class Robot:
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
     def move_wheels(
-        self, *,
-        right_in: float | None = None, left_in: float | None = None,
+        self, *, right_in: float | None = None, left_in: float | None = None,
         right_m: float | None = None, left_m: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
@@ -397,8 +371,7 @@ class Robot:
     # -- settings -----------------------------------------------------------------------------------------------------
 
     def set_speeds(
-        self, *,
-        translation_in_s: float | None = None, translation_m_s: float | None = None,
+        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
         steering_deg_s: float | None = None, steering_rad_s: float | None = None,
         turret_deg_s: float | None = None, turret_rad_s: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -414,8 +387,7 @@ class Robot:
         )
 
     def set_accelerations(
-        self, *,
-        translation_in_s2: float | None = None, translation_m_s2: float | None = None,
+        self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
         steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
         turret_deg_s2: float | None = None, turret_rad_s2: float | None = None,
     ) -> RobotState:  # fmt: skip
@@ -431,16 +403,14 @@ class Robot:
         )
 
     def set_position(
-        self, *,
-        x_in: float | None = None, y_in: float | None = None,
+        self, *, x_in: float | None = None, y_in: float | None = None,
         x_m: float | None = None, y_m: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
     def set_angles(
-        self, *,
-        steering_deg: float | None = None, steering_rad: float | None = None,
+        self, *, steering_deg: float | None = None, steering_rad: float | None = None,
         turret_deg: float | None = None, turret_rad: float | None = None,
     ) -> RobotState:  # fmt: skip
         """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""
@@ -460,15 +430,9 @@ class Robot:
         return self._command("conf_tm", _whole_seconds(timeout_s))
 
     def select_sensors(
-        self,
-        *,
-        infrareds: Iterable[int] = RING,
-        sonars: Iterable[int] = RING,
-        bumpers: bool = True,
-        motion: bool = True,
-        compass: bool = True,
-        laser: bool = True,
-    ) -> RobotState:
+        self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
+        motion: bool = True, compass: bool = True, laser: bool = True,
+    ) -> RobotState:  # fmt: skip
         """Select the sensors whose readings replies carry; others keep their last reading. C: ct.
 
         Parameters
@@ -488,14 +452,9 @@ class Robot:
         return self._command("ct", *mask.smask)
 
     def position_data(
-        self,
-        *,
-        infrareds: bool = False,
-        sonars: bool = False,
-        bumpers: bool = False,
-        laser: bool = False,
+        self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False, laser: bool = False,
         compass: bool = False,
-    ) -> RobotState:
+    ) -> RobotState:  # fmt: skip
         """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
         # The order of Position's members: bit 0 infrareds to bit 4 compass.
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
@@ -503,7 +462,8 @@ class Robot:
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
     def configure_sonars(
-        self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER
+        self, *, rate: int | None = None, interval_s: float | None = None,
+        order: Iterable[int] = types.DEFAULT_SONAR_ORDER,
     ) -> RobotState:
         """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn.
 
@@ -527,12 +487,12 @@ class Robot:
             raise TypeError("rate or interval_s, not both")
         if interval_s is not None:
             # The wire has steps of 4 ms.
-            rate = round(interval_s / SONAR_RATE_STEP_S)
-        return self._command("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
+            rate = round(interval_s / types.SONAR_RATE_STEP_S)
+        return self._command("conf_sn", types.DEFAULT_SONAR_RATE if rate is None else rate, *states.firing_order(order))
 
-    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_SONAR_ORDER) -> RobotState:
+    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = types.DEFAULT_SONAR_ORDER) -> RobotState:
         """Set the number of readings that an infrared averages (1..10), and the firing order. C: conf_ir."""
-        return self._command("conf_ir", history, *firing_order(order))
+        return self._command("conf_ir", history, *states.firing_order(order))
 
     def configure_compass(self, mode: int) -> RobotState:
         """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp."""
@@ -699,13 +659,9 @@ class Robot:
         self._query("delete_obstacle", *_polygon(corners_in, corners_m))
 
     def move_obstacle(
-        self,
-        *,
-        corners_in: Points | None = None,
-        shift_in: tuple[float, float] | None = None,
-        corners_m: Points | None = None,
-        shift_m: tuple[float, float] | None = None,
-    ) -> tuple[tuple[float, float], ...]:
+        self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
+        corners_m: Points | None = None, shift_m: tuple[float, float] | None = None,
+    ) -> tuple[tuple[float, float], ...]:  # fmt: skip
         """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
         # Inches or metres, but the same unit for corners and shift is not required.
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
@@ -789,13 +745,10 @@ class Robot:
         self._query("draw_line", *points_tenths(points_in, points_m), mode)
 
     def draw_arc(
-        self,
-        *,
-        box_in: tuple[float, float, float, float] | None = None,
-        box_m: tuple[float, float, float, float] | None = None,
-        angles_rad: tuple[float, float] = (0.0, math.tau),
+        self, *, box_in: tuple[float, float, float, float] | None = None,
+        box_m: tuple[float, float, float, float] | None = None, angles_rad: tuple[float, float] = (0.0, math.tau),
         mode: int = 1,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Draw an arc of an ellipse. C: draw_arc.
 
         Parameters
@@ -934,7 +887,7 @@ class Robot:
             return
         self._applied = reply
         self._client_state.apply_reply(reply)
-        self._state = snapshot(self._client_state, self._backend.wire_state.model)
+        self._state = states.snapshot(self._client_state, self._backend.wire_state.model)
         if self._ring_in is not None:
             self._state = replace(self._state, ring_in=self._ring_in)
 
@@ -967,7 +920,7 @@ class Robot:
             return self._command(name, translation, steering, turret)
         self._refuse_axis(name, turret)
         # Truncated as in the C library, so that both send the same bytes.
-        turn = int(steering * WHEEL_IN_PER_DEG)
+        turn = int(steering * states.WHEEL_IN_PER_DEG)
         return self._command(name, translation + turn, translation - turn, 0)
 
     def _set_axes(self, name: str, translation: int, steering: int, turret: int) -> RobotState:

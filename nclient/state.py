@@ -21,20 +21,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Final, NamedTuple, cast
 
+from nclient.protocol import types
 from nclient.protocol.client_state import ClientState
-from nclient.protocol.types import (
-    CPU_RANGE_V,
-    M_PER_IN,
-    MAX_SONAR_IN,
-    MOTOR_RANGE_V,
-    SCOUT_WHEEL_IN_PER_DEG,
-    SONAR_SLOTS,
-    Model,
-    Stamp,
-    rad_from_tenths,
-    tenths,
-    volts,
-)
+from nclient.protocol.types import CPU_RANGE_V, M_PER_IN, MAX_SONAR_IN, Model, Stamp, rad_from_tenths, tenths, volts
 
 _UNIT_OF = {
     "in": 1.0, "in_s": 1.0, "in_s2": 1.0,
@@ -107,7 +96,7 @@ def firing_order(order: Iterable[int]) -> tuple[int, ...]:
 
 
 # Number of sensors of a ring, and the end mark of a firing order.
-_RING, _END = SONAR_SLOTS, 255
+_RING, _END = types.SONAR_SLOTS, 255
 
 
 class AxisMode(IntEnum):
@@ -130,8 +119,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def velocity(
-        cls, *,
-        in_s: float | None = None, m_s: float | None = None,
+        cls, *, in_s: float | None = None, m_s: float | None = None,
         deg_s: float | None = None, rad_s: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to keep this velocity until the next one."""
@@ -139,8 +127,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def relative(
-        cls, *,
-        by_in: float | None = None, by_m: float | None = None,
+        cls, *, by_in: float | None = None, by_m: float | None = None,
         by_deg: float | None = None, by_rad: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to move by this distance or angle."""
@@ -153,8 +140,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def acceleration(
-        cls, *,
-        in_s2: float | None = None, m_s2: float | None = None,
+        cls, *, in_s2: float | None = None, m_s2: float | None = None,
         deg_s2: float | None = None, rad_s2: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to set the acceleration."""
@@ -162,8 +148,7 @@ class AxisCommand(NamedTuple):
 
     @classmethod
     def speed(
-        cls, *,
-        in_s: float | None = None, m_s: float | None = None,
+        cls, *, in_s: float | None = None, m_s: float | None = None,
         deg_s: float | None = None, rad_s: float | None = None,
     ) -> AxisCommand:  # fmt: skip
         """Return the command to set the speed of relative motions."""
@@ -172,7 +157,7 @@ class AxisCommand(NamedTuple):
 
 NO_ECHO_IN: Final = MAX_SONAR_IN
 """The reading of a sonar without echo."""
-WHEEL_IN_PER_DEG = SCOUT_WHEEL_IN_PER_DEG
+WHEEL_IN_PER_DEG = types.SCOUT_WHEEL_IN_PER_DEG
 
 
 @dataclass(frozen=True, slots=True)
@@ -471,7 +456,7 @@ class RobotState:
         """Voltages of computer and motors; None until received."""
         if self.raw_volts is None:
             return None
-        return Battery(volts(self.raw_volts[0], CPU_RANGE_V), volts(self.raw_volts[1], MOTOR_RANGE_V))
+        return Battery(volts(self.raw_volts[0], CPU_RANGE_V), volts(self.raw_volts[1], types.MOTOR_RANGE_V))
 
     @property
     def clock_s(self) -> float | None:
@@ -502,13 +487,9 @@ def snapshot(client_state: ClientState, model: Model) -> RobotState:
 
 def _stamp(raw: Stamp) -> PositionStamp:
     return PositionStamp(
-        Pose(raw.x / 10, raw.y / 10, rad_from_tenths(raw.steer), rad_from_tenths(raw.turret)),
-        raw.v_trans / 10,
-        rad_from_tenths(raw.v_steer),
-        rad_from_tenths(raw.v_turret),
-        raw.pose_time / 1000,
-        raw.sensor_time / 1000,
-    )
+        Pose(raw.x / 10, raw.y / 10, rad_from_tenths(raw.steer), rad_from_tenths(raw.turret)), raw.v_trans / 10,
+        rad_from_tenths(raw.v_steer), rad_from_tenths(raw.v_turret), raw.pose_time / 1000, raw.sensor_time / 1000,
+    )  # fmt: skip
 
 
 # -- picture in a notebook: pose, motion, sensors, and the sonars from above -----------------------------------------

@@ -43,16 +43,8 @@ from typing import Final
 
 import numpy as np
 
-from nclient.common import process
-from nclient.common.arguments import (
-    ABOVE_ZERO,
-    Parser,
-    add_flag,
-    add_version,
-    number,
-    protect_coordinates,
-    whole_number,
-)
+from nclient.common import arguments, process
+from nclient.common.arguments import Parser, add_flag, add_version, number, protect_coordinates, whole_number
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError, SnapshotError, suggest
 from nclient.recording.format import read_recording
@@ -69,16 +61,9 @@ from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.ros import options as ros_options
 from nserver_emu.ros.options import running_ros
-from nserver_emu.server import admission, serial_lines
+from nserver_emu.server import admission, config, serial_lines
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, limits_of, make_room
-from nserver_emu.server.config import (
-    MAX_ROBOTS,
-    MODEL_NAMES,
-    LegacySetup,
-    SimulationConfig,
-    read_setups,
-    robot_placements,
-)
+from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, read_setups, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
@@ -140,7 +125,8 @@ def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
                         help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default: "
                         f"{MODEL_NAMES[0]}); repeatable, for robot 2 and so on")
-    parser.add_argument("--robots", type=whole_number("the number of robots", 1, MAX_ROBOTS), default=1, metavar="N",
+    count = whole_number("the number of robots", 1, config.MAX_ROBOTS)
+    parser.add_argument("--robots", type=count, default=1, metavar="N",
                         help="number of robots (default: 1), numbered 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
                         help="read a TOML file of models that override or extend the built-in ones")
@@ -155,7 +141,7 @@ def _add_time(parser: Parser) -> None:
                         help=f"run at X simulated seconds per second: {MIN_TIME_FACTOR} to {MAX_TIME_FACTOR:.0f}, or "
                         f"{MAX_SPEED} (default: 1)")
     add_flag(parser, "--paused", "start with simulated time paused, until a client resumes it")
-    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", ABOVE_ZERO, MAX_LOCKSTEP_S)
+    step = number(f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s", arguments.ABOVE_ZERO, MAX_LOCKSTEP_S)
     parser.add_argument("--lockstep", type=step, metavar="DT",
                         help="advance simulated time by DT seconds per client request, and only then")
     add_flag(parser, "--allow-control", "allow clients to pause, step and speed up simulated time")
@@ -430,7 +416,8 @@ def _prepare_acoustics(simulation: Simulation) -> None:
 
 
 async def _serve_with(
-    proxies: Mapping[int, RealRobotProxy], setups: LegacySetup, options: argparse.Namespace, faults: FaultController
+    proxies: Mapping[int, RealRobotProxy], setups: config.LegacySetup, options: argparse.Namespace,
+    faults: FaultController,
 ) -> int:
     # 1. Simulation: port and model from the options, else from the setup files, else the defaults.
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)

@@ -327,9 +327,7 @@ def _environment(address: str, world: str, start: StartPose, goal_in: tuple[floa
     }
 
 
-async def _run_program(
-    command: list[str], environment: dict[str, str], over: asyncio.Event, timeout_s: float
-) -> str:  # fmt: skip
+async def _run_program(command: list[str], environment: dict[str, str], over: asyncio.Event, timeout_s: float) -> str:
     """Run the program until it ends, simulated time is over or real time is; return how it ended."""
     # Its output goes to stderr: stdout has the results. A group of its own ends with its children.
     try:

@@ -275,9 +275,12 @@ def walls_of_cells(
     close_open_ends : bool
         Also return the boundary to unknown cells as walls.
     """
+    from scipy import ndimage
+
     # 1. Free space without specks; anything else is behind its boundary.
     free = _without_specks(grid.cells == Cell.FREE, min_cells)
-    solid = _near(grid.cells == Cell.OCCUPIED)
+    # Cells beside an occupied one are solid, too: borders of walls are often half-known.
+    solid = ndimage.binary_dilation(grid.cells == Cell.OCCUPIED, np.ones((3, 3)))
     # 2. The boundary as closed loops of cell corners, and which of their edges are walls.
     walls, apart, open_cells = [], 0.0, 0
     for loop in _loops(free):
@@ -304,16 +307,6 @@ def _without_specks(free: BoolArray, min_cells: int) -> BoolArray:
         small[0] = False
         cleaned[small[labels]] = not value
     return cleaned
-
-
-def _near(occupied: BoolArray) -> BoolArray:
-    """Return the cells that are occupied or beside an occupied one: borders of walls are often half-known."""
-    wide = np.pad(occupied, 1)
-    near: BoolArray = np.zeros_like(wide)
-    for i in (-1, 0, 1):
-        for k in (-1, 0, 1):
-            near |= np.roll(wide, (i, k), (0, 1))
-    return near[1:-1, 1:-1]
 
 
 def _loops(free: BoolArray) -> Iterator[npt.NDArray[np.intp]]:

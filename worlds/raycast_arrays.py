@@ -200,8 +200,7 @@ def _farthest(ranges: FloatArray, begin: IndexArray, stop: IndexArray) -> FloatA
     if not len(begin):
         return np.empty(0)
     bounds = np.column_stack((begin, stop)).ravel()
-    largest: FloatArray = np.maximum.reduceat(np.append(ranges, 0.0), bounds)[::2]
-    return largest
+    return np.maximum.reduceat(np.append(ranges, 0.0), bounds)[::2]
 
 
 def _pair_frames(x: float, y: float, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -27,14 +27,6 @@ from localization.live.assumptions import (
     resolve_body,
     resolve_sonar_model,
 )
-from localization.live.estimate import (
-    DisplacementStd,
-    Estimate,
-    SavedEstimate,
-    encoder_std,
-    map_signature,
-    resume_belief,
-)
 from localization.live.run import Run
 from localization.live.sensor_input import EncoderPose, restart_ring, with_wheels
 from localization.mapping.aliases import AliasFinder
@@ -46,7 +38,7 @@ from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.robots import BODIES, IDEAL_CALIBRATION, N150, Body, Calibration, load_bodies, load_calibration
+from worlds.robots import BODIES, IDEAL_CALIBRATION, N150, Body, load_bodies, load_calibration
 from worlds.world import World
 
 MAX_NOISE: Final = 10
@@ -129,17 +121,6 @@ def parse_scales(text: str) -> tuple[float, ...]:
 
 parse_seconds: Final = number("expected 0 s or more", 0.0)
 parse_positive: Final = number("expected a number above 0", ABOVE_ZERO)
-
-
-def parse_displacement_std(text: str) -> DisplacementStd:
-    """Return the standard deviations of a displacement, given in inches and degrees."""
-    try:
-        x, y, heading_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = heading_deg = math.nan
-    if not all(0.0 <= number < math.inf for number in (x, y, heading_deg)):
-        raise argparse.ArgumentTypeError(f"expected three numbers of 0 or more separated by commas, not {text!r}")
-    return x, y, math.radians(heading_deg)
 
 
 # options
@@ -227,10 +208,10 @@ def add_resume_options(parser: argparse.ArgumentParser) -> None:
     add_value(parser, "--resume", "FILE", Path,
               "continue from an estimate written by --save, of the same robot on the same map; rejected "
               "if the encoders were set or the robot was switched off meanwhile")
-    add_value(parser, "--displacement-std", "X,Y,HEADING", parse_displacement_std,
+    add_value(parser, "--displacement-std", "X,Y,HEADING", parse_pose_std,
               "with --resume: standard deviation of a displacement meanwhile that the encoders did not "
               "measure, inches and degrees (0,0,0: none)")
-    parser.add_argument("--moved-std", dest="displacement_std", type=parse_displacement_std, action=_RenamedOption,
+    parser.add_argument("--moved-std", dest="displacement_std", type=parse_pose_std, action=_RenamedOption,
                         metavar="X,Y,HEADING", help=argparse.SUPPRESS)  # fmt: skip
 
 
@@ -336,7 +317,10 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     # 1. Pose: given, resumed, or from the encoders.
     state = _set_start(robot, robot.refresh(), options.start) if options.start else robot.refresh()
     calibration = load_calibration(options.calibration, options.body) if options.calibration else IDEAL_CALIBRATION
-    belief = load_resumed_belief(options, world, state) or _initial_belief(options, state, calibration)
+    belief = load_resumed_belief(options, world, state)
+    if belief is None:
+        pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std or START_STD)
+        belief = with_wheels(pose, calibration) if options.calibration else with_parameters(pose, options.scale_std)
     options.driven_in = 0.0
     if start_source(options) == ENCODERS and not is_lockstep(options.address):
         belief = _widen_encoders(options, world, state, belief)
@@ -378,7 +362,7 @@ def _widen_encoders(options: argparse.Namespace, world: World, state: RobotState
     if options.start_std is not None:
         return belief
     starts = [(start.x_in, start.y_in, start.steering_rad) for start in world.starts]
-    std, options.driven_in = encoder_std(
+    std, options.driven_in = saved_estimate.encoder_std(
         np.array([state.x_in, state.y_in, state.steering_rad]), np.array([*starts, (0.0, 0.0, 0.0)]),
         np.array(START_STD), options.odometry_noise,
     )  # fmt: skip
@@ -427,11 +411,6 @@ def _set_start(robot: Robot, state: RobotState, start: Sequence[float] | str) ->
     return robot.set_angles(steering_rad=heading, turret_rad=heading + state.turret_rad - state.steering_rad)
 
 
-def _initial_belief(options: argparse.Namespace, state: RobotState, calibration: Calibration) -> Belief:
-    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std or START_STD)
-    return with_wheels(pose, calibration) if options.calibration else with_parameters(pose, options.scale_std)
-
-
 def load_resumed_belief(options: argparse.Namespace, world: World, state: RobotState) -> Belief | None:
     """Return the belief of --resume at the first state; None without --resume. Raises EstimateFileError."""
     if options.resume is None:
@@ -443,8 +422,8 @@ def load_resumed_belief(options: argparse.Namespace, world: World, state: RobotS
     saved = saved_estimate.load(options.resume)
     pose = np.array([state.x_in, state.y_in, state.steering_rad])
     now = EncoderPose.of(state.clock_s or 0.0, pose, state.turret_rad)
-    signature = map_signature(world, options.body)
-    belief = resume_belief(saved, signature, now, options.odometry_noise, options.displacement_std)
+    signature = saved_estimate.map_signature(world, options.body)
+    belief = saved_estimate.resume_belief(saved, signature, now, options.odometry_noise, options.displacement_std)
     # Parameters of --scale-std that the saved estimate does not contain are added.
     number = len(belief.mean) - POSE
     return with_parameters(belief, options.scale_std[number:])
@@ -457,7 +436,7 @@ def save_run(options: argparse.Namespace, world: World, run: Run) -> None:
 
 
 def save_estimate(
-    options: argparse.Namespace, world: World, estimate: Estimate, odometry: tuple[float, float, float],
+    options: argparse.Namespace, world: World, estimate: saved_estimate.Estimate, odometry: tuple[float, float, float],
     turret_rad: float,
 ) -> None:  # fmt: skip
     """Save an estimate and the encoders, if --save is given: pose and odometry parameters, no other filter state.
@@ -470,4 +449,5 @@ def save_estimate(
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
     belief = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])
-    saved_estimate.save(options.save, SavedEstimate(map_signature(world, options.body), encoders, belief))
+    signature = saved_estimate.map_signature(world, options.body)
+    saved_estimate.save(options.save, saved_estimate.SavedEstimate(signature, encoders, belief))

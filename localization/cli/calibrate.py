@@ -15,7 +15,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from math import cos, degrees, hypot, pi, radians, tau
+from math import cos, degrees, dist, pi, radians, tau
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -146,7 +146,7 @@ def largest_square(world: World, radius_in: float, near: tuple[float, float]) ->
         along_x, along_y = blocked_x[steps:] == blocked_x[:-steps], blocked_y[:, steps:] == blocked_y[:, :-steps]
         whole &= along_x[:, :-steps] & along_x[:, steps:] & along_y[:-steps] & along_y[steps:]
         squares = [Square(float(x), float(y), steps * _GRID_IN) for x, y in grid[:-steps, :-steps][whole]]
-        for square in sorted(squares, key=lambda square: min(_distance(corner, near) for corner in square.corners)):
+        for square in sorted(squares, key=lambda square: min(dist(corner, near) for corner in square.corners)):
             if is_clear(square, world, radius_in):
                 return square
     raise NoSquareError(
@@ -192,10 +192,6 @@ def is_clear(square: Square, world: World, radius_in: float) -> bool:
     return free and bool((segment_clearances(_sides(square), world.walls) >= space_in).all())
 
 
-def _distance(point: tuple[float, float], near: tuple[float, float]) -> float:
-    return hypot(point[0] - near[0], point[1] - near[1])
-
-
 def _sides(square: Square) -> Floats:
     corners = np.array(square.corners)
     return np.concatenate((corners, np.roll(corners, -1, axis=0)), axis=1)
@@ -204,7 +200,7 @@ def _sides(square: Square) -> Floats:
 def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> list[Task]:
     """Return the tasks of `laps` laps in each direction from the nearest corner, `spins` full turns at each corner."""
     corners = list(square.corners)
-    first = min(range(len(corners)), key=lambda number: _distance(corners[number], near))
+    first = min(range(len(corners)), key=lambda number: dist(corners[number], near))
     # Each side begins with a turn in place: full turns at the corners measure the turn scale.
     found: list[Task] = [DriveTo(*corners[first])]
     for direction in (1, -1):
@@ -383,11 +379,8 @@ def calibration_in(belief: Belief) -> Calibration:
         tuple(offsets.tolist()),
         float(mean[RING_TURN]),
         Spread(
-            float(std[OdometryParameter.DISTANCE_SCALE]),
-            float(std[OdometryParameter.TURN_SCALE]),
-            float(std[OdometryParameter.DRIFT]),
-            tuple(spread.tolist()),
-            float(std[RING_TURN]),
+            float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
+            float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN]),
         ),
     )
 

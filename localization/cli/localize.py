@@ -38,6 +38,7 @@ from localization.live.sensor_input import read_log, without_echo
 from localization.navigation.control_law import ContactDetector, MisfitDetector, PoseSmoother, StallDetector
 from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
+from localization.plot import check_picture, draw_run
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.process import ExitCode, TerminatedBySignal
@@ -102,8 +103,6 @@ def run(options: argparse.Namespace) -> int:
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
     if options.picture is not None:
-        from localization.plot import check_picture
-
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
     # 2. Drive.
@@ -166,8 +165,6 @@ def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool
 
 def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
     if options.picture is not None:
-        from localization.plot import draw_run
-
         draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
 
@@ -233,7 +230,10 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if options.waypoints:
         return [*options.waypoints]
     if options.path is not None:
-        return _points_of(world, options.path)
+        if options.path not in world.paths:
+            names = ", ".join(world.paths) or "none"
+            raise WorldFileError(f"the map {world.name} has no path {options.path!r}; it has {names}")
+        return list(world.paths[options.path].points_in)
     # Waypoints may also come from the page later.
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
@@ -255,13 +255,6 @@ def _require_free_legs(world: World, points: Sequence[tuple[float, float]]) -> N
                 f"the leg from {x:.5g},{y:.5g} to {to_x:g},{to_y:g} leads through a wall of the map {world.name}: "
                 "give waypoints around it, or use nomad go, which plans the way"
             )
-
-
-def _points_of(world: World, name: str) -> list[tuple[float, float]]:
-    if name not in world.paths:
-        names = ", ".join(world.paths) or "none"
-        raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {names}")
-    return list(world.paths[name].points_in)
 
 
 REPLAY: Final = "replay:"
@@ -316,8 +309,6 @@ def localize_recorded(options: argparse.Namespace) -> int:
     world, body = load_world(options.map), resolve_log_body(options)
     check_writable(options.estimates, options.picture)
     if options.picture:
-        from localization.plot import check_picture
-
         check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
     # 2. Initial belief and models.
@@ -330,8 +321,6 @@ def localize_recorded(options: argparse.Namespace) -> int:
     if options.estimates:
         options.estimates.write_text(_table(done), encoding="utf-8")
     if options.picture:
-        from localization.plot import draw_run
-
         draw_run(options.picture, world, done, body)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
     return ExitCode.DONE

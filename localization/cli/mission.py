@@ -17,20 +17,9 @@ from localization.live.assumptions import SonarAssumption, resolve_body, resolve
 from localization.live.background_search import filter_on_robot
 from localization.live.estimate import Echo
 from localization.live.run import GroundTruth, Publisher
+from localization.navigation import pilot
 from localization.navigation.mission import Mission, Report, run_mission
 from localization.navigation.mission_steps import load_mission
-from localization.navigation.pilot import (
-    MAX_TIME_S,
-    MAX_WITHIN_IN,
-    MIN_TIME_S,
-    MIN_WITHIN_IN,
-    Observation,
-    OnLost,
-    Point,
-    ProgressPublisher,
-    RobotController,
-    Settings,
-)
 from localization.navigation.waypoints import STOP_RADIUS_IN
 from nclient import NomadError, Robot
 from nclient.common.arguments import add_address, add_flag, add_value, number
@@ -94,12 +83,12 @@ def add_mission_options(parser: argparse.ArgumentParser) -> None:
 class MissionContext(NamedTuple):
     """A controlled robot and what its mission's report and page need."""
 
-    controller: RobotController
+    controller: pilot.RobotController
     robot: Robot
     simulated: bool
     sonars: SonarAssumption
     echoes: list[Echo]
-    goals: list[Point]
+    goals: list[pilot.Point]
     """Waypoints shown on the page."""
     world: World
 
@@ -152,20 +141,20 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
                 options.method, config, belief, waits=waits, report=arguments.report_wait,
                 alike=arguments.find_alike(world, config, belief),
             ) as method,
-            RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
+            pilot.RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)
             # 3. Observers.
             controller.observers.append(lambda observation: context.echoes.extend(observation.estimate.echoes))
             if publisher:
-                progress = ProgressPublisher(publisher, GroundTruth(robot, simulated), context.goals)
+                progress = pilot.ProgressPublisher(publisher, GroundTruth(robot, simulated), context.goals)
                 controller.observers.append(progress)
                 progress(controller.last)
             yield context
 
 
 def execute_mission(
-    context: MissionContext, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace
+    context: MissionContext, settings: pilot.Settings, act: Callable[[Mission], object], options: argparse.Namespace
 ) -> int:
     """Run a mission, write its report and save the estimate, however it ends; return the exit code."""
     mission = Mission(context.controller, settings)
@@ -208,17 +197,15 @@ class GoCommand:
         """Add the options of `nomad go`."""
         add_address(parser)
         parser.add_argument(
-            "--to",
-            type=_parse_goal,
-            required=True,
-            metavar="X,Y[,HEADING]",
+            "--to", type=_parse_goal, required=True, metavar="X,Y[,HEADING]",
             help="drive to this position, inches and degrees",
-        )
-        add_value(parser, "--within", "IN", _number_between(MIN_WITHIN_IN, MAX_WITHIN_IN),
+        )  # fmt: skip
+        add_value(parser, "--within", "IN", _number_between(pilot.MIN_WITHIN_IN, pilot.MAX_WITHIN_IN),
                   "accept positions within this many inches", STOP_RADIUS_IN)
-        add_value(parser, "--time-limit", "S", _number_between(MIN_TIME_S, MAX_TIME_S),
+        add_value(parser, "--time-limit", "S", _number_between(pilot.MIN_TIME_S, pilot.MAX_TIME_S),
                   "give up after this many seconds of the robot's clock", 300.0)
-        parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
+        parser.add_argument("--on-lost", choices=[policy.value for policy in pilot.OnLost],
+                            default=pilot.OnLost.STOP.value,
                             help="select the behaviour when the robot is lost (default: %(default)s)")  # fmt: skip
         parser.set_defaults(report=None)
         add_mission_options(parser)
@@ -227,7 +214,7 @@ class GoCommand:
     def run(options: argparse.Namespace) -> int:
         """Run the command and return its exit code."""
         # A mission of one step, go_to.
-        settings = Settings(time_limit_s=options.time_limit, on_lost=OnLost(options.on_lost))
+        settings = pilot.Settings(time_limit_s=options.time_limit, on_lost=pilot.OnLost(options.on_lost))
         with open_mission(options) as context:
             if not options.json:
                 context.controller.observers.append(_ProgressPrinter())
@@ -243,7 +230,7 @@ class _ProgressPrinter:
     def __init__(self) -> None:
         self._printed_s = -inf
 
-    def __call__(self, observation: Observation) -> None:
+    def __call__(self, observation: pilot.Observation) -> None:
         estimate = observation.estimate
         if estimate.clock_s < self._printed_s + PRINT_INTERVAL_S:
             return

@@ -47,13 +47,9 @@ def predict_grid(answer: Answer, rng: Rng) -> None:
             (backwards, "kernel[k] is the probability of k cells forwards."),
         ]
         expect(
-            answer,
-            (belief, kernel),
-            right,
-            1e-9,
-            mistakes=mistakes,
+            answer, (belief, kernel), right, 1e-9, mistakes=mistakes,
             hint="Add belief[i] * kernel[k] to cell i + k for all i and k.",
-        )
+        )  # fmt: skip
 
 
 @task("04")
@@ -411,13 +407,9 @@ def weigh_particles(answer: Answer, rng: Rng) -> None:
             (weights, "The readings change the weights."),
         ]
         expect(
-            answer,
-            (weights, measured, expected, std),
-            right,
-            1e-6,
-            mistakes=mistakes,
+            answer, (weights, measured, expected, std), right, 1e-6, mistakes=mistakes,
             hint="Weights sum to 1. Far away, densities become 0: subtract the largest logarithm first.",
-        )
+        )  # fmt: skip
 
 
 @task("08", points=2)
@@ -464,14 +456,9 @@ def mean_pose(answer: Answer, rng: Rng) -> None:
             ((*particles[:, :2].mean(axis=0), right[2]), "Use the weights for the position."),
         ]
         expect(
-            answer,
-            (particles, weights),
-            right,
-            (1e-6, 1e-6, 0.02),
-            angles=(2,),
-            mistakes=mistakes,
+            answer, (particles, weights), right, (1e-6, 1e-6, 0.02), angles=(2,), mistakes=mistakes,
             hint="Weighted means of x and y, and the direction of the weighted mean of (cos, sin).",
-        )
+        )  # fmt: skip
 
 
 @task("09")
@@ -510,13 +497,9 @@ def random_fraction(answer: Answer, rng: Rng) -> None:
             ),
         ]
         expect(
-            answer,
-            (slow, fast, likelihood),
-            right,
-            1e-9,
-            mistakes=mistakes,
+            answer, (slow, fast, likelihood), right, 1e-9, mistakes=mistakes,
             hint=f"average + rate (likelihood - average), with the rates {SLOW} and {FAST}; then 1 - fast / slow.",
-        )
+        )  # fmt: skip
         slow, fast = next_slow, next_fast
 
 

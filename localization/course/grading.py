@@ -91,15 +91,10 @@ def judge(values: dict[str, Any], name: str, seed: int, limit_s: float, error: s
         return Verdict(name, False, f"The check failed with {type(raised).__name__}: {raised}")
 
 
-def limit_memory(megabytes: int) -> None:
-    """Limit the memory of this process."""
-    import resource  # not on Windows, where `nomad grade` is not offered
-
-    resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
-
-
 def main(words: list[str]) -> int:
     """Judge the tasks, and print a line for each."""
+    import resource  # not on Windows, where `nomad grade` is not offered
+
     file, seed, limit_s, megabytes, *names = words
     # Results have a copy of stdout; the student's code gets none.
     results = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
@@ -108,7 +103,7 @@ def main(words: list[str]) -> int:
     os.dup2(nowhere, 2)
     all_tasks()
     process = os.getpid()
-    limit_memory(int(megabytes))
+    resource.setrlimit(resource.RLIMIT_AS, (int(megabytes) << 20,) * 2)
     values, error = load(Path(file), float(limit_s))
     for name in names:
         found = judge(values, name, int(seed), float(limit_s), error)

@@ -56,14 +56,9 @@ def step_pose(answer: Answer, rng: Rng) -> None:
             ),
         ]
         expect(
-            answer,
-            (pose, distance, turn),
-            drive_arc(pose, distance, turn),
-            (0.02, 0.02, 1e-6),
-            angles=(2,),
-            mistakes=mistakes,
-            hint="Are cosine and sine taken of radians?",
-        )
+            answer, (pose, distance, turn), drive_arc(pose, distance, turn), (0.02, 0.02, 1e-6), angles=(2,),
+            mistakes=mistakes, hint="Are cosine and sine taken of radians?",
+        )  # fmt: skip
 
 
 @task("01", points=2)
@@ -84,13 +79,9 @@ def relative_step(answer: Answer, rng: Rng) -> None:
             ((distance, -turn), "The turn is the heading after minus the heading before."),
         ]
         expect(
-            answer,
-            (before, after),
-            (distance, turn),
-            (0.05, 1e-6),
-            mistakes=mistakes,
+            answer, (before, after), (distance, turn), (0.05, 1e-6), mistakes=mistakes,
             hint="Return the distance along the heading and the turn.",
-        )
+        )  # fmt: skip
 
 
 @task("01")
@@ -106,13 +97,9 @@ def random_error(answer: Answer, rng: Rng) -> None:
         (np.mean(errors / distances), "Errors of both signs cancel: square them first."),
     ]
     expect(
-        answer,
-        (distances, errors),
-        alpha,
-        0.15 * alpha,
-        mistakes=mistakes,
+        answer, (distances, errors), alpha, 0.15 * alpha, mistakes=mistakes,
         hint="The mean of error squared is alpha times the distance.",
-    )
+    )  # fmt: skip
 
 
 @task("02")
@@ -144,13 +131,9 @@ def echo_point(answer: Answer, rng: Rng) -> None:
             ((RING_IN + reading) * u, "Add the position of the robot."),
         ]
         expect(
-            answer,
-            (x, y, turret, number, reading),
-            (x, y) + (RING_IN + reading) * u,
-            0.1,
-            mistakes=mistakes,
+            answer, (x, y, turret, number, reading), (x, y) + (RING_IN + reading) * u, 0.1, mistakes=mistakes,
             hint="Start at the axis and go along the direction of the sonar.",
-        )
+        )  # fmt: skip
 
 
 @task("02", points=2)
@@ -236,13 +219,9 @@ def wall_on_the_right(answer: Answer, rng: Rng) -> None:
             ((distance, degrees(angle)), "Radians, please."),
         ]
         expect(
-            answer,
-            (side, ahead),
-            (distance, angle),
-            (0.05, 0.005),
-            mistakes=mistakes,
+            answer, (side, ahead), (distance, angle), (0.05, 0.005), mistakes=mistakes,
             hint="Two points of the wall give its direction.",
-        )
+        )  # fmt: skip
 
 
 @task("03", points=2)
@@ -311,13 +290,9 @@ def fit_scale(answer: Answer, rng: Rng) -> None:
             (np.mean(measured - counted), "The error grows with the distance: a factor, not a difference."),
         ]
         expect(
-            answer,
-            (counted, measured),
-            scale,
-            0.003,
-            mistakes=mistakes,
+            answer, (counted, measured), scale, 0.003, mistakes=mistakes,
             hint="Minimize the squares of measured - scale * counted.",
-        )
+        )  # fmt: skip
 
 
 def _drives(rng: Rng, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
@@ -339,13 +314,9 @@ def fit_turn_and_drift(answer: Answer, rng: Rng) -> None:
             ((true @ turns / (turns @ turns), 0.0), "Driving straight turns the robot, too: the drift is not 0."),
         ]
         expect(
-            answer,
-            (distances, turns, true),
-            (scale, drift),
-            (0.003, 1e-4),
-            mistakes=mistakes,
+            answer, (distances, turns, true), (scale, drift), (0.003, 1e-4), mistakes=mistakes,
             hint="Two unknowns: true = scale * turns + drift * distances. np.linalg.lstsq solves it.",
-        )
+        )  # fmt: skip
 
 
 @task("10", points=2)
@@ -369,13 +340,9 @@ def fit_std(answer: Answer, rng: Rng) -> None:
         (sigma * np.sqrt(np.diag(information)), "More data makes the result more certain: the inverse of A' A."),
     ]
     expect(
-        answer,
-        (distances, turns, sigma),
-        right,
-        0.06 * right,
-        mistakes=mistakes,
+        answer, (distances, turns, sigma), right, 0.06 * right, mistakes=mistakes,
         hint="P = sigma^2 inv(A' A), with the columns turns and distances of A.",
-    )
+    )  # fmt: skip
 
 
 @task("10")

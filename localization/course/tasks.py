@@ -166,15 +166,9 @@ def truth_value(answer: Answer, *arguments: Any) -> bool:
 
 
 def expect(
-    answer: Answer,
-    arguments: tuple[Any, ...],
-    right: Any,
-    tolerance: Any,
-    *,
-    angles: Sequence[int] = (),
-    mistakes: Mistakes = (),
-    hint: str = "",
-) -> None:
+    answer: Answer, arguments: tuple[Any, ...], right: Any, tolerance: Any, *, angles: Sequence[int] = (),
+    mistakes: Mistakes = (), hint: str = "",
+) -> None:  # fmt: skip
     """Raise Wrong unless an answer returns the right numbers.
 
     Parameters
@@ -224,8 +218,7 @@ def _as_array(result: Any, arguments: tuple[Any, ...]) -> npt.NDArray[np.float64
     try:
         return np.asarray(result, dtype=np.float64)
     except (TypeError, ValueError):
-        pass
-    raise Wrong(f"{_shown_call(arguments)} returned {_shown(result)}; expected numbers.")
+        raise Wrong(f"{_shown_call(arguments)} returned {_shown(result)}; expected numbers.") from None
 
 
 def _shown_call(arguments: tuple[Any, ...]) -> str:

@@ -9,17 +9,16 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from localization import plot
 from localization.cli.arguments import make_folder
-from localization.experiments import baselines, corridor, disturbed, live, mapping, recorded
-from localization.experiments import lost as lost_command
-from localization.experiments import plan as plan_command
+from localization.experiments import baselines, corridor, disturbed, live, lost, mapping, plan, recorded
 from localization.experiments.execution import NO_PICTURES, add_shared, drive, drive_on_cluster, progress
 from localization.experiments.figure_trial import (
     FIGURES,
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
 OUT: Final = Path("out/experiments")
-ALONE: Final = ("live", "lost", "plan", "corridor", "ring", "flights", "mapping", "disturbed", "baselines", "all")
-"""Commands that replace the names of figures."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,29 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # The first word selects the command; anything else is the name of a figure.
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        match given[:1]:
-            case ["live"]:
-                live.main(given[1:])
-            case ["lost"]:
-                lost_command.main(given[1:])
-            case ["plan"]:
-                plan_command.main(given[1:])
-            case ["disturbed"]:
-                disturbed.main(given[1:])
-            case ["mapping"]:
-                mapping.main(given[1:])
-            case ["corridor"]:
-                corridor.main(given[1:])
-            case ["ring"]:
-                recorded.main(given[1:])
-            case ["flights"]:
-                recorded.fly(given[1:])
-            case ["baselines"]:
-                baselines.main(given[1:])
-            case ["all"]:
-                _drive_all(given[1:])
-            case _:
-                _drive_figures(given)
+        command = COMMANDS.get(given[0]) if given else None
+        if command:
+            command(given[1:])
+        else:
+            _drive_figures(given)
     except (NomadError, OSError) as error:
         print(f"localization.experiments: {error}", file=sys.stderr)
         return ExitCode.USAGE if isinstance(error, NomadError) and error.usage else ExitCode.FAILED
@@ -83,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return ExitCode.DONE
 
 
-def _drive_all(arguments: list[str]) -> None:
+def _drive_all(arguments: Sequence[str]) -> None:
     parser = Parser(
         prog="python -m localization.experiments all",
         description=f"Run everything in sequence: the figures {', '.join(FIGURES)} (with the errors in "
@@ -100,8 +79,16 @@ def _drive_all(arguments: list[str]) -> None:
     live.main(arguments)
     # `lost` and `plan` draw no pictures and do not have the option.
     numbers = [word for word in arguments if word != NO_PICTURES]
-    lost_command.main(numbers)
-    plan_command.main(numbers)
+    lost.main(numbers)
+    plan.main(numbers)
+
+
+COMMANDS: Final[Mapping[str, Callable[[Sequence[str]], None]]] = MappingProxyType({
+    "live": live.main, "lost": lost.main, "plan": plan.main, "corridor": corridor.main, "ring": recorded.main,
+    "flights": recorded.fly, "mapping": mapping.main, "disturbed": disturbed.main, "baselines": baselines.main,
+    "all": _drive_all,
+})  # fmt: skip
+"""Commands that replace the names of figures."""
 
 
 def _parts() -> dict[str, str]:
@@ -115,12 +102,12 @@ def _figure(text: str) -> str:
     if text in _parts():
         run = _parts()[text]
         raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: use {run}")
-    if text in ALONE:
+    if text in COMMANDS:
         raise argparse.ArgumentTypeError(f"{text} is a command, not a figure: give it first and without figures")
     if text not in FIGURES:
         raise argparse.ArgumentTypeError(
-            f"unknown figure {text!r}; expected one of {', '.join(FIGURES)}, or first a command: {', '.join(ALONE)}"
-            f"{suggest(text, (*FIGURES, *ALONE))}"
+            f"unknown figure {text!r}; expected one of {', '.join(FIGURES)}, or first a command: {', '.join(COMMANDS)}"
+            f"{suggest(text, (*FIGURES, *COMMANDS))}"
         )
     return text
 

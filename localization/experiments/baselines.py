@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from localization.experiments import execution
 from localization.experiments.execution import progress
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.errors import ExtraMissing, install_command
 
 
@@ -98,8 +98,7 @@ def _parser() -> Parser:
         "by a contact or with a wrong estimate.",
         epilog="example: python -m localization.experiments baselines --episodes 20 --environments GoTo",
     )
-    parser.add_argument("--episodes", type=execution.positive, default=20, metavar="N",
-                        help="episodes of each policy (default: 20)")  # fmt: skip
+    add_value(parser, "--episodes", "N", execution.positive, "episodes of each policy", 20)
     execution.add_choice(parser, "--environments", ENVIRONMENTS, list(ENVIRONMENTS), "environments")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     return parser

@@ -28,11 +28,10 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import process_variance, relative_step, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, METHODS, make
 from localization.filters.sonar_cone import ConeSonar, building_sonar
-from localization.filters.sonar_ray import RingBody
 from localization.live.run import Run, run_log
 from localization.live.sensor_input import LogRow, new_echoes
 from localization.plot import check_picture, save
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.errors import LogFileError
 from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank
 from worlds.robots import N150, Body, read_model_file
@@ -218,8 +217,10 @@ def main(arguments: Sequence[str]) -> None:
             save(_picture(corridor, echoes, walls, runs[0]), options.picture)
     if options.export:
         _export(corridor, walls, options.export)
+    residuals = {"walls": [wall._asdict() for wall in statistics.walls], "echoes": statistics.echoes,
+                 "explained_fraction": statistics.explained_fraction}  # fmt: skip
     summary = {"rows": options.rows, "seeds": options.seeds, "walls_in": walls.tolist(),
-               "residuals": _residuals_as_json(statistics), "scores": {name: s._asdict() for name, s in scores.items()}}
+               "residuals": residuals, "scores": {name: s._asdict() for name, s in scores.items()}}
     print(json.dumps(summary) if options.json else _text(statistics, scores), flush=True)
 
 
@@ -243,19 +244,11 @@ def _parser() -> argparse.ArgumentParser:
                         help=f"part of the data (default: {FIRST_ROW},{LAST_ROW})")  # fmt: skip
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="runs per kind of odometry (default: 20)")
     parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="filter (default: %(default)s)")
-    parser.add_argument("--picture", type=Path, metavar="PNG",
-                        help="draw echoes, walls, residuals and the first run (needs the extra `plot`)")  # fmt: skip
-    parser.add_argument("--export", type=Path, metavar="FOLDER",
-                        help="write log.csv, robot.toml and map.toml for `nomad localize --from`")  # fmt: skip
+    add_value(parser, "--picture", "PNG", Path,
+              "draw echoes, walls, residuals and the first run (needs the extra `plot`)")
+    add_value(parser, "--export", "FOLDER", Path, "write log.csv, robot.toml and map.toml for `nomad localize --from`")
     parser.add_argument("--json", action="store_true", help="print only the numbers, as JSON")
     return parser
-
-
-def _residuals_as_json(statistics: ResidualStatistics) -> dict[str, Any]:
-    return {
-        "walls": [wall._asdict() for wall in statistics.walls], "echoes": statistics.echoes,
-        "explained_fraction": statistics.explained_fraction,
-    }  # fmt: skip
 
 
 def _text(statistics: ResidualStatistics, scores: dict[str, CorridorScore]) -> str:
@@ -374,7 +367,7 @@ class ResidualStatistics(NamedTuple):
         return self.explained / self.echoes if self.echoes else 0.0
 
 
-def residual_statistics(echoes: Echoes, walls: Floats, ring: RingBody) -> ResidualStatistics:
+def residual_statistics(echoes: Echoes, walls: Floats, ring: Body) -> ResidualStatistics:
     """Return the statistics of the echoes of a run at walls (m, 4), rows x1 y1 x2 y2 in inches."""
     explained, found = np.zeros(len(echoes.sonars), dtype=bool), []
     for wall in walls:
@@ -384,7 +377,7 @@ def residual_statistics(echoes: Echoes, walls: Floats, ring: RingBody) -> Residu
     return ResidualStatistics(tuple(found), len(explained), int(explained.sum()))
 
 
-def residuals_at(echoes: Echoes, wall: Floats, ring: RingBody) -> tuple[Any, Floats]:
+def residuals_at(echoes: Echoes, wall: Floats, ring: Body) -> tuple[Any, Floats]:
     """Return True for the echoes that a wall (4,) explains (k,), and their residuals in inches."""
     # 1. Faces and axes of the sonars, and the foot of the perpendicular from each.
     axes = echoes.poses[:, HEADING] + np.array(ring.sonar_angles_rad)[echoes.sonars]
@@ -411,7 +404,7 @@ def _statistics(residuals: Floats) -> WallStatistics:
     return WallStatistics(len(residuals), float(residuals.mean()), variance**0.5, correlation)
 
 
-def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: RingBody, max_range_in: float) -> Floats:
+def fit_walls(echoes: Echoes, sonars: Sequence[int], ring: Body, max_range_in: float) -> Floats:
     """Return a straight wall (k, 4) for each of these sonars, fitted to where its echoes lie on its axis.
 
     Least squares with Huber's weights, across the direction of the drive; echoes beyond `max_range_in` are left out.

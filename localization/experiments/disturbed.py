@@ -11,10 +11,8 @@ The filter has the models of `nomad localize`: the default odometry noise, and r
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,18 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import START_STD, make_folder
-from localization.experiments.execution import (
-    ResultCache,
-    add_choice,
-    add_execution_options,
-    add_output,
-    code_hash,
-    executor_for,
-    positive,
-    progress,
-    run_cached,
-    text_table,
-)
+from localization.experiments import execution
 from localization.experiments.live_trial import LOST_IN, Scenario, simulated_robot
 from localization.experiments.lost import GOALS, MARGIN_IN, POSITIONS, START, RandomExplorer, free_positions
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
@@ -49,7 +36,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.control_law import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -206,14 +193,9 @@ class Disturber:
         late_s = disturbance.clock_s * float(self._clock.random())
         x, y = self._slipped
         return SensorData(
-            state.clock_s + late_s,
-            state.x_in + x,
-            state.y_in + y,
-            state.steering_rad,
-            state.turret_rad,
-            sonars,
+            state.clock_s + late_s, state.x_in + x, state.y_in + y, state.steering_rad, state.turret_rad, sonars,
             state.touching,
-        )
+        )  # fmt: skip
 
     def _biased(self, reading_in: float) -> float:
         low, high = N150.ring.min_range_in, N150.ring.max_range_in
@@ -403,26 +385,18 @@ def summarize(row: str, setup: str, method: str, tallies: Sequence[Tally]) -> di
     }
 
 
-_COLUMNS: Final[tuple[tuple[str, str, Callable[[float], str]], ...]] = (
-    ("lost", "lost", "{:.0%}".format),
-    ("RMSE (in)", "rmse_in", "{:.2f}".format),
-    ("stated (in)", "stated_in", "{:.2f}".format),
-    ("NEES", "nees", "{:.1f}".format),
-    ("OK", "ok", "{:.1%}".format),
-    ("OK and wrong", "ok_wrong", "{:.2%}".format),
-    ("OK if right", "ok_if_right", "{:.1%}".format),
-    ("NEES if OK", "nees_ok", "{:.1f}".format),
-    ("jitter", "jitter", "{:.2f}".format),
-)
+_COLUMNS: Final = (
+    ("lost", "lost", ".0%"), ("RMSE (in)", "rmse_in", ".2f"),
+    ("stated (in)", "stated_in", ".2f"), ("NEES", "nees", ".1f"), ("OK", "ok", ".1%"),
+    ("OK and wrong", "ok_wrong", ".2%"), ("OK if right", "ok_if_right", ".1%"),
+    ("NEES if OK", "nees_ok", ".1f"), ("jitter", "jitter", ".2f"),
+)  # fmt: skip
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Return the rows as a text table."""
-    lines = [["disturbance", "setup", "method", *(title for title, _, _ in _COLUMNS)]]
-    for row in rows:
-        cells = ["-" if row[key] is None else form(row[key]) for _, key, form in _COLUMNS]
-        lines.append([row["disturbance"], row["setup"], row["method"], *cells])
-    return text_table(lines)
+    names = {"disturbance": "disturbance", "setup": "setup", "method": "method"}
+    return execution.table_of(names, _COLUMNS, rows)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -437,9 +411,9 @@ def main(arguments: Sequence[str]) -> None:
         Case(row, setup, options.method, seed) for setup in options.setups for seed in seeds for row in options.rows
     ]
     # 2. Make those that the cache does not have.
-    cache = run_cache(options.out / "disturbed", code_hash())
-    with progress(len(cases), "disturbed", "runs") as tally:
-        results = run_cached(cases, cache, executor_for(run, options), tally)
+    cache = run_cache(options.out / "disturbed", execution.code_hash())
+    with execution.progress(len(cases), "disturbed", "runs") as tally:
+        results = execution.run_cached(cases, cache, execution.executor_for(run, options), tally)
     # 3. The table, and the same as a file.
     rows = [
         summarize(
@@ -447,15 +421,12 @@ def main(arguments: Sequence[str]) -> None:
         )
         for row, setup in cells
     ]
-    written = options.out / f"disturbed_{options.method}.json"
-    written.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(rows) if options.json else table(rows), flush=True)
-    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    execution.write_results(options, f"disturbed_{options.method}.json", rows, table(rows))
 
 
-def run_cache(folder: Path, code: str) -> ResultCache[Case, Tally]:
+def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, Tally]:
     """Return the cache of runs made by code with this hash."""
-    return ResultCache(
+    return execution.ResultCache(
         folder, code, Tally, lambda case: (f"{case.setup}_{case.method}_{case.seed:04d}", (case, ROWS[case.row]))
     )
 
@@ -468,11 +439,11 @@ def _parser() -> argparse.ArgumentParser:
         "status is OK although the estimate is wrong. Results are cached.",
         epilog="example: python -m localization.experiments disturbed --seeds 2 --setups measured",
     )
-    parser.add_argument("--seeds", type=positive, default=20, metavar="N", help="number of runs per row (default: 20)")
+    add_value(parser, "--seeds", "N", execution.positive, "number of runs per row", 20)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="first seed (default: %(default)s)")
-    add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")
-    add_choice(parser, "--setups", ("noisy", "measured"), ["noisy", "measured"], "setups: rays, and cones")
-    add_choice(parser, "--method", METHODS, DEFAULT_METHOD, "filter")
-    add_execution_options(parser)
-    add_output(parser, Path("out/experiments"), "row")
+    execution.add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")
+    execution.add_choice(parser, "--setups", ("noisy", "measured"), ["noisy", "measured"], "setups: rays, and cones")
+    execution.add_choice(parser, "--method", METHODS, DEFAULT_METHOD, "filter")
+    execution.add_execution_options(parser)
+    execution.add_output(parser, Path("out/experiments"), "row")
     return parser

@@ -14,15 +14,17 @@ import json
 import math
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -66,13 +68,17 @@ def run_locally(work: Callable[[Item], Result], items: Sequence[Item], jobs: int
         yield from map(work, items)
         return
     with ProcessPoolExecutor(min(jobs, len(items)), _worker_context()) as workers:
-        # Results as they arrive; after an error or Ctrl-C the items that wait are cancelled.
-        futures = [workers.submit(work, item) for item in items]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            workers.shutdown(wait=True, cancel_futures=True)
+        yield from _completed(workers, work, items)
+
+
+def _completed(workers: Executor, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """Yield results as they arrive; after an error or Ctrl-C the items that wait are cancelled."""
+    futures = [workers.submit(work, item) for item in items]
+    try:
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        workers.shutdown(wait=True, cancel_futures=True)
 
 
 def _worker_context() -> BaseContext:
@@ -194,12 +200,10 @@ class ResultCache(Generic[Item, Result]):
 
 
 def run_cached(
-    items: Sequence[Item],
-    cache: ResultCache[Item, Result],
-    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]],
-    tally: Tally,
+    items: Sequence[Item], cache: ResultCache[Item, Result],
+    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
     is_current: Callable[[Item], bool] = lambda _: True,
-) -> dict[Item, Result]:
+) -> dict[Item, Result]:  # fmt: skip
     """Return the results of all runs in order, from the cache (if `is_current`) or by `work`; store each at once."""
     cached = {item: result for item in items if (result := cache.get(item)) is not None and is_current(item)}
     results = dict(cached)
@@ -232,16 +236,10 @@ def _sources() -> dict[str, bytes]:
     return {
         f"{package}/{path.relative_to(folder).as_posix()}": path.read_bytes()
         for package in CODE
-        for folder in _folders(package)
+        for folder in map(Path, import_module(package).__path__)
         for path in folder.rglob("*")
         if path.suffix in SUFFIXES
     }
-
-
-def _folders(package: str) -> Iterator[Path]:
-    spec = find_spec(package)
-    assert spec is not None
-    return map(Path, spec.submodule_search_locations or ())
 
 
 _MAX_BATCH: Final = 125
@@ -320,13 +318,16 @@ def _drive_compiled(figure: Figure, seeds: Sequence[int], jobs: int, tick: Tally
     """Drive a figure with all seeds in machine code, in `jobs` threads."""
     parts = [seeds[first : first + _COMPILED_BATCH] for first in range(0, len(seeds), _COMPILED_BATCH)]
     with ThreadPoolExecutor(min(jobs, len(parts))) as workers:
-        futures = [workers.submit(drive_batch, figure, part, is_compiled=True) for part in parts]
-        try:
-            for future in as_completed(futures):
-                tick(sum(result.steps for result in future.result().results))
-        finally:
-            workers.shutdown(wait=True, cancel_futures=True)
-        return join_results([future.result() for future in futures])
+        return _joined(_completed(workers, partial(drive_batch, figure, is_compiled=True), parts), tick)
+
+
+def _joined(parts: Iterable[FigureResult], tick: Tally) -> FigureResult:
+    """Return the results of batches, which arrive in any order, in the order of the seeds."""
+    done = []
+    for part in parts:
+        done.append(part)
+        tick(sum(result.steps for result in part.results))
+    return join_results(sorted(done, key=lambda part: part.results[0].seed))
 
 
 def drive_on_cluster(
@@ -336,13 +337,8 @@ def drive_on_cluster(
     is_compiled = _is_compiled(figure, seeds)
     firsts = range(0, len(seeds), _CLUSTER_BATCH)
     items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
-    parts = []
-    tick = _counting(report)
-    for part in on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash):
-        parts.append(part)
-        tick(sum(result.steps for result in part.results))
-    # Batches arrive in any order; the summary is defined in the order of the seeds.
-    return join_results(sorted(parts, key=lambda part: part.results[0].seed))
+    parts = on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash)
+    return _joined(parts, _counting(report))
 
 
 def _compiled_code() -> tuple[str, bool]:
@@ -382,10 +378,37 @@ def _count_steps(steps: int) -> None:
             _StepCounter.steps.value += steps
 
 
+Column = tuple[str, str, str]
+"""Title, key and format of a column of numbers."""
+
+
 def text_table(lines: Sequence[Sequence[str]]) -> str:
     """Return lines of cells as text, right-aligned, each column as wide as its widest cell."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(map(str.rjust, line, widths)) for line in lines)
+
+
+def table_of(names: Mapping[str, str], columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as a text table: first the columns of `names` (title: key), then numbers; "-" for None."""
+    columns = list(columns)
+    lines = [[*names, *(title for title, _, _ in columns)]]
+    for row in rows:
+        numbers = ["-" if row[key] is None else format(row[key], form) for _, key, form in columns]
+        lines.append([*(str(row[key]) for key in names.values()), *numbers])
+    return text_table(lines)
+
+
+def write_results(
+    options: argparse.Namespace, name: str, values: Sequence[object], text: str, more: object = None
+) -> None:
+    """Write values, or `more`, to a JSON file in the folder of --out; print the values as text, or as JSON for --json.
+
+    Other words go to stderr with --json.
+    """
+    written = options.out / name
+    written.write_text(json.dumps(more or values, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(values) if options.json else text, flush=True)
+    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 NO_PICTURES: Final = "--no-pictures"
@@ -413,13 +436,9 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
     shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
     choices = ", ".join(names).replace("%", "%%")
     parser.add_argument(
-        option,
-        nargs="+" if isinstance(default, list) else None,
-        choices=names,
-        default=default,
-        metavar="NAME",
+        option, nargs="+" if isinstance(default, list) else None, choices=names, default=default, metavar="NAME",
         help=f"{what}: {choices} (default: {shown})",
-    )
+    )  # fmt: skip
 
 
 def add_execution_options(parser: argparse.ArgumentParser) -> None:

@@ -280,7 +280,7 @@ class Runs:
 def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
     """Simulate a trial once per seed in arrays; after each step `tick` is called with the number of moving robots."""
     batch = _start(setup, seeds)
-    history: list[Batch] = []
+    history: list[tuple[Floats | Indices, ...]] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
     errors = draw_step_errors(seeds, len(setup.body.sonar_angles_rad))
     for motion_error, sonar_error in islice(errors, setup.max_steps):
@@ -288,20 +288,11 @@ def run(setup: FigureSetup, seeds: Sequence[int], tick: Callable[[int], None] = 
         if not driving.any():
             break
         batch = _advance(setup, batch, motion_error, sonar_error)
-        history.append(batch)
+        history.append((batch.truth, batch.belief.mean, batch.belief.cov, batch.bound, batch.nis, batch.used))
         steps += driving
         tick(int(driving.sum()))
-    return Runs(
-        tuple(seeds),
-        steps,
-        batch.leg == len(setup.goals_in),
-        np.stack([past.truth for past in history]),
-        np.stack([past.belief.mean for past in history]),
-        np.stack([past.belief.cov for past in history]),
-        np.stack([past.bound for past in history]),
-        np.stack([past.nis for past in history]),
-        np.stack([past.used for past in history]),
-    )
+    states: Any = map(np.stack, zip(*history, strict=True))
+    return Runs(tuple(seeds), steps, batch.leg == len(setup.goals_in), *states)
 
 
 def run_compiled(setup: FigureSetup, seeds: Sequence[int]) -> Runs:

@@ -19,19 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments import live_trial
-from localization.experiments.execution import (
-    ResultCache,
-    Tally,
-    add_choice,
-    add_shared,
-    code_hash,
-    executor_for,
-    positive,
-    progress,
-    run_cached,
-    text_table,
-)
+from localization.experiments import execution, live_trial
 from localization.experiments.live_trial import Cell, Trial, TrialResult
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
@@ -88,13 +76,9 @@ def rows(matrix: Matrix) -> list[Row]:
 
 def table(matrix: Matrix) -> str:
     """Return the matrix as a text table."""
-    heads = ["scenario", "path", "method", "seeds", *(column.title for column in COLUMNS)]
-    body = [
-        [str(row[key]) for key in ("scenario", "figure", "method", "seeds")]
-        + [_written(row[column.key], column.form) for column in COLUMNS]
-        for row in rows(matrix)
-    ]
-    return text_table([heads, *body])
+    names = {"scenario": "scenario", "path": "figure", "method": "method", "seeds": "seeds"}
+    columns = ((column.title, column.key, column.form) for column in COLUMNS)
+    return execution.table_of(names, columns, rows(matrix))
 
 
 def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
@@ -181,14 +165,14 @@ def write_tum(folder: Path, trial: Trial, record: live_trial.Record) -> None:
         path.write_text(lines(record.clock_s, poses[name]), encoding="utf-8")
 
 
-def trial_cache(folder: Path, code: str) -> ResultCache[Trial, TrialResult]:
+def trial_cache(folder: Path, code: str) -> execution.ResultCache[Trial, TrialResult]:
     """Return the cache of trials run by code with this hash."""
 
     def key(trial: Trial) -> tuple[str, object]:
         decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
         return f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by
 
-    return ResultCache(folder, code, TrialResult, key)
+    return execution.ResultCache(folder, code, TrialResult, key)
 
 
 Executor = Callable[[Sequence[live_trial.TrialJob]], Iterator[live_trial.FinishedTrial]]
@@ -202,9 +186,9 @@ def main(arguments: Sequence[str]) -> None:
     make_folder(options.out)
     # 1. Trials, from the cache or by running them.
     requested = live_trial.trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
-    cache = trial_cache(options.out / "trials", code_hash())
-    with progress(len(requested), "live", "trials") as tally:
-        results = collect(requested, cache, options.tum, executor_for(live_trial.run, options), tally)
+    cache = trial_cache(options.out / "trials", execution.code_hash())
+    with execution.progress(len(requested), "live", "trials") as tally:
+        results = collect(requested, cache, options.tum, execution.executor_for(live_trial.run, options), tally)
     # 2. Summaries as files and as table.
     found = live_trial.summaries(results)
     written = write(found, options.out, picture=options.pictures)
@@ -213,8 +197,9 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    requested: Sequence[Trial], cache: ResultCache[Trial, TrialResult], paths: Path | None, work: Executor, tally: Tally
-) -> dict[Trial, TrialResult]:
+    requested: Sequence[Trial], cache: execution.ResultCache[Trial, TrialResult], paths: Path | None, work: Executor,
+    tally: execution.Tally,
+) -> dict[Trial, TrialResult]:  # fmt: skip
     """Return the results of all trials in order, from the cache or by running them.
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
@@ -227,10 +212,13 @@ def collect(
             if paths and record:
                 write_tum(paths, trial, record)
 
-    return run_cached(requested, cache, run, tally, lambda trial: not paths or _has_paths(paths, trial, cache))
+    def is_current(trial: Trial) -> bool:
+        return not paths or _has_paths(paths, trial, cache)
+
+    return execution.run_cached(requested, cache, run, tally, is_current)
 
 
-def _has_paths(folder: Path, trial: Trial, cache: ResultCache[Trial, TrialResult]) -> bool:
+def _has_paths(folder: Path, trial: Trial, cache: execution.ResultCache[Trial, TrialResult]) -> bool:
     """Return True if the path files of a trial exist and are not older than its result."""
     since = cache.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
@@ -244,11 +232,11 @@ def _parser() -> argparse.ArgumentParser:
         "about 2 s ago.",
         epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
     )
-    add_choice(parser, "--scenario", live_trial.SCENARIOS, list(live_trial.SCENARIOS), "error scenarios")
-    add_choice(parser, "--figures", live_trial.COURSES, list(live_trial.COURSES), "paths of these figures")
-    add_choice(parser, "--methods", METHODS, list(live_trial.COMPARED), "filters")
-    add_value(parser, "--periods", "N", positive,
+    execution.add_choice(parser, "--scenario", live_trial.SCENARIOS, list(live_trial.SCENARIOS), "error scenarios")
+    execution.add_choice(parser, "--figures", live_trial.COURSES, list(live_trial.COURSES), "paths of these figures")
+    execution.add_choice(parser, "--methods", METHODS, list(live_trial.COMPARED), "filters")
+    add_value(parser, "--periods", "N", execution.positive,
               "end a trial after this number of periods of 0.1 s", live_trial.MAX_PERIODS)
     add_value(parser, "--tum", "DIR", Path, "write the paths of all trials to this folder, in TUM format")
-    add_shared(parser, Path("out/experiments"), "row of the table")
+    execution.add_shared(parser, Path("out/experiments"), "row of the table")
     return parser

@@ -119,24 +119,19 @@ class Scenario:
         return (self.scale_std,) if self.scale_std else ()
 
 
+_MEASURED: Final = Scenario(
+    "measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0
+)
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
     {
         scenario.name: scenario
         for scenario in (
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0),
+            _MEASURED,
             # Over the serial protocol, which has neither timestamps nor a fine clock.
             Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            Scenario(
-                "measured_line",
-                "measured",
-                ConeSonar(),
-                scale_std=0.05,
-                outlier_fraction=0.2,
-                judged_after_in=24.0,
-                line=True,
-            ),
+            replace(_MEASURED, name="measured_line", line=True),
         )
     }
 )
@@ -342,16 +337,9 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     # 3. Truth, encoders and distance at the times of the estimates, which may lie between states.
     distance = np.interp(clock, polled_s, distance)
     return Record(
-        seed,
-        reached,
-        clock,
-        distance,
-        _interpolate(clock, polled_s, truth),
-        _interpolate(clock, polled_s, encoders),
-        means,
-        covs,
-        spent,
-    )
+        seed, reached, clock, distance, _interpolate(clock, polled_s, truth), _interpolate(clock, polled_s, encoders),
+        means, covs, spent,
+    )  # fmt: skip
 
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:

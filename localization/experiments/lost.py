@@ -15,30 +15,18 @@ where there is free space. Recovery means localized without LOST for CERTAIN_S. 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from itertools import groupby, pairwise
 from math import atan2, hypot, sqrt, tau
 from pathlib import Path
-from typing import Final, TypedDict
+from typing import Final
 
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments.execution import (
-    ResultCache,
-    add_choice,
-    add_execution_options,
-    add_output,
-    code_hash,
-    executor_for,
-    positive,
-    progress,
-    run_cached,
-)
+from localization.experiments import execution
 from localization.experiments.live_trial import BAD, SCENARIOS, START_STD, BadReadings, Scenario, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, independent
@@ -399,8 +387,7 @@ def free_positions(world: World) -> Floats:
     # Grid points 2 in apart, over the bounding box of all walls.
     x, y = np.meshgrid(np.arange(low[0], high[0], 2.0), np.arange(low[1], high[1], 2.0))
     points = np.stack((x.ravel(), y.ravel()), axis=-1)
-    small: Floats = points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
-    return small
+    return points[world.clearances(points) >= N150.radius_in + MARGIN_IN]
 
 
 def _drawn(positions: Floats, rng: np.random.Generator) -> Pose:
@@ -446,7 +433,8 @@ SOON_S: Final = 5.0
 """A kidnapping should be detected within this time."""
 
 
-class LostSummary(TypedDict):
+@dataclass(frozen=True, slots=True)
+class LostSummary:
     """Results of all runs of a kind in a world; None where a number does not apply.
 
     Attributes
@@ -488,19 +476,19 @@ class LostSummary(TypedDict):
     alarmed: int
     degraded: float
     rmse_in: float | None
-    told: int | None
-    soon: int | None
-    told_s: tuple[float, float] | None
-    found: int | None
-    mistaken: int | None
-    found_s: tuple[float, float] | None
-    alike: int | None
-    unique_found: int | None
-    early: int | None
-    brier: float | None
-    brier_expected: float | None
-    brier_std: float | None
-    reliability: list[tuple[float, float, int]]
+    told: int | None = None
+    soon: int | None = None
+    told_s: tuple[float, float] | None = None
+    found: int | None = None
+    mistaken: int | None = None
+    found_s: tuple[float, float] | None = None
+    alike: int | None = None
+    unique_found: int | None = None
+    early: int | None = None
+    brier: float | None = None
+    brier_expected: float | None = None
+    brier_std: float | None = None
+    reliability: Sequence[tuple[float, float, int]] = ()
 
 
 def summaries(results: Mapping[Case, LostResult]) -> list[LostSummary]:
@@ -527,35 +515,33 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
         # Weighted by duration, because runs end at different times.
         degraded=sum(result.degraded * result.seconds for result in results) / seconds,
         rmse_in=_rmse_in(results),
-        told=None,
-        soon=None,
-        told_s=None,
-        found=None,
-        mistaken=None,
-        found_s=None,
-        alike=None,
-        unique_found=None,
-        early=None,
-        brier=None,
-        brier_expected=None,
-        brier_std=None,
-        reliability=[],
     )
     # 2. Numbers of detection and recovery, where they apply.
     if kind is Kind.KIDNAPPED:
-        _add_detections(summary, results)
+        after = [result.lost_after_s for result in results if result.lost_after_s is not None]
+        soon = sum(seconds <= SOON_S for seconds in after)
+        summary = replace(summary, told=len(after), told_s=_spread(after), soon=soon)
     if kind is not Kind.TRACKING:
-        _add_recoveries(summary, results)
-    if kind in STARTS:
-        unique = [result for result in results if not result.alike]
-        summary["alike"] = len(results) - len(unique)
-        summary["unique_found"] = sum(result.found_after_s is not None and result.right for result in unique)
-        summary["early"] = sum(result.is_early for result in results)
-        stated = [instant for result in results for instant in result.stated]
-        summary["brier"], summary["brier_expected"] = brier_score(stated), expected_brier_score(stated)
-        summary["brier_std"] = brier_excess_std([result.stated for result in results])
-        summary["reliability"] = reliability(stated)
-    return summary
+        # A recovery counts as correct if the recovered pose was within the tolerance.
+        found = [result for result in results if result.found_after_s is not None]
+        rightly = [result.found_after_s for result in found if result.found_after_s is not None and result.right]
+        mistaken = len(found) - len(rightly)
+        summary = replace(summary, found=len(rightly), found_s=_spread(rightly), mistaken=mistaken)
+    if kind not in STARTS:
+        return summary
+    # 3. Numbers of starts that look like others, and of the probabilities that are stated meanwhile.
+    unique = [result for result in results if not result.alike]
+    stated = [instant for result in results for instant in result.stated]
+    return replace(
+        summary,
+        alike=len(results) - len(unique),
+        unique_found=sum(result.found_after_s is not None and result.right for result in unique),
+        early=sum(result.is_early for result in results),
+        brier=brier_score(stated),
+        brier_expected=expected_brier_score(stated),
+        brier_std=brier_excess_std([result.stated for result in results]),
+        reliability=reliability(stated),
+    )
 
 
 Stated = Sequence[Sequence[tuple[float, bool]]]
@@ -648,53 +634,39 @@ def _rmse_in(results: Sequence[LostResult]) -> float | None:
     return sqrt(sum(square * seconds for square, seconds in squares) / total_s) if total_s else None
 
 
-def _add_detections(summary: LostSummary, results: Sequence[LostResult]) -> None:
-    after = [result.lost_after_s for result in results if result.lost_after_s is not None]
-    summary["told"], summary["told_s"] = len(after), _spread(after)
-    summary["soon"] = sum(seconds <= SOON_S for seconds in after)
-
-
-def _add_recoveries(summary: LostSummary, results: Sequence[LostResult]) -> None:
-    # A recovery counts as correct if the recovered pose was within the tolerance.
-    after = [(result.found_after_s, result.right) for result in results if result.found_after_s is not None]
-    rightly = [seconds for seconds, right in after if right]
-    summary["found"], summary["found_s"] = len(rightly), _spread(rightly)
-    summary["mistaken"] = len(after) - len(rightly)
-
-
 def words(summary: LostSummary) -> str:
     """Return a summary as text."""
     lines = [
-        f"{summary['kind']} in {summary['world']}, {summary['scenario']}: {summary['runs']} runs, "
-        f"{summary['hours']:.1f} simulated hours"
+        f"{summary.kind} in {summary.world}, {summary.scenario}: {summary.runs} runs, "
+        f"{summary.hours:.1f} simulated hours"
     ]
-    if summary["rmse_in"] is not None:
+    if summary.rmse_in is not None:
         lines.append(
-            f"  {summary['false_alarms']} false alarms in {summary['alarmed']} runs; DEGRADED "
-            f"{summary['degraded']:.2%} of the time; position RMSE {summary['rmse_in']:.2f} in"
+            f"  {summary.false_alarms} false alarms in {summary.alarmed} runs; DEGRADED "
+            f"{summary.degraded:.2%} of the time; position RMSE {summary.rmse_in:.2f} in"
         )
-    if summary["told"] is not None:
+    if summary.told is not None:
         lines.append(
-            f"  detected (LOST): {summary['told']}, {summary['soon']} of them within {SOON_S:g} s"
-            f"{_times(summary['told_s'])}"
+            f"  detected (LOST): {summary.told}, {summary.soon} of them within {SOON_S:g} s"
+            f"{_times(summary.told_s)}"
         )
-    if summary["found"] is not None:
+    if summary.found is not None:
         lines.append(
-            f"  correct recoveries: {summary['found']}{_times(summary['found_s'])}; wrong recoveries: "
-            f"{summary['mistaken']}"
+            f"  correct recoveries: {summary.found}{_times(summary.found_s)}; wrong recoveries: "
+            f"{summary.mistaken}"
         )
-    if summary["alike"] is not None:
+    if summary.alike is not None:
         lines.append(
-            f"  starts that look like other places: {summary['alike']}; localized correctly within {START_LIMIT_S:g} s "
-            f"of the other {summary['runs'] - summary['alike']}: {summary['unique_found']}"
+            f"  starts that look like other places: {summary.alike}; localized correctly within {START_LIMIT_S:g} s "
+            f"of the other {summary.runs - summary.alike}: {summary.unique_found}"
         )
-        lines.append(f"  OK before an unambiguous place: {summary['early']} of {summary['runs']}")
-    if summary["brier"] is not None:
-        rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary["reliability"])
-        std = summary["brier_std"]
+        lines.append(f"  OK before an unambiguous place: {summary.early} of {summary.runs}")
+    if summary.brier is not None:
+        rows = ", ".join(f"{stated:.0%}: {right:.0%} of {count}" for stated, right, count in summary.reliability)
+        std = summary.brier_std
         error = "" if std is None else f" (standard error of the difference {std:.3f})"
         lines.append(
-            f"  stated probabilities: Brier score {summary['brier']:.3f}, {summary['brier_expected']:.3f} expected if "
+            f"  stated probabilities: Brier score {summary.brier:.3f}, {summary.brier_expected:.3f} expected if "
             f"calibrated{error}; right of those stated: {rows}"
         )
     return "\n".join(lines)
@@ -712,12 +684,8 @@ def _times(spread: tuple[float, float] | None) -> str:
 WORLD: Final = "several_walls"
 # False alarms are rare, so tracking needs the most runs; 300 of 10 min are 50 simulated hours.
 RUNS: Final = {
-    Kind.TRACKING: 300,
-    Kind.KIDNAPPED: 100,
-    Kind.UNKNOWN_START: 100,
-    Kind.WRONG_DOOR: 20,
-    Kind.UNCERTAIN_START: 20,
-}
+    Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100, Kind.WRONG_DOOR: 20, Kind.UNCERTAIN_START: 20,
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -734,19 +702,17 @@ def main(arguments: Sequence[str]) -> None:
         for seed in range(options.first_seed, options.first_seed + (options.runs or RUNS[kind]))
     ]
     # 2. Results, from the cache or by running them.
-    cache = run_cache(options.out / "runs", code_hash())
-    with progress(len(cases), "lost", "runs") as tally:
-        found = summaries(run_cached(cases, cache, executor_for(run, options), tally))
+    cache = run_cache(options.out / "runs", execution.code_hash())
+    with execution.progress(len(cases), "lost", "runs") as tally:
+        found = summaries(execution.run_cached(cases, cache, execution.executor_for(run, options), tally))
     # 3. Summary, as JSON file and as text.
-    path = options.out / "lost.json"
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
-    print(f"written: {path}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    rows = [asdict(summary) for summary in found]
+    execution.write_results(options, "lost.json", rows, "\n".join(map(words, found)))
 
 
-def run_cache(folder: Path, code: str) -> ResultCache[Case, LostResult]:
+def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, LostResult]:
     """Return the cache of runs made by code with this hash."""
-    return ResultCache(folder, code, LostResult, lambda case: (case.name, case))
+    return execution.ResultCache(folder, code, LostResult, lambda case: (case.name, case))
 
 
 def run(case: Case) -> tuple[Case, LostResult]:
@@ -772,27 +738,18 @@ def _parser() -> argparse.ArgumentParser:
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
     parser.add_argument(
-        "kinds",
-        nargs="*",
-        type=_kind,
-        default=[kind for kind in Kind if kind not in GIVEN],
-        metavar="KIND",
+        "kinds", nargs="*", type=_kind, default=[kind for kind in Kind if kind not in GIVEN], metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--world",
-        "--worlds",
-        dest="worlds",
-        nargs="+",
-        default=[WORLD],
-        metavar="WORLD",
+        "--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
         help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
-    )
-    add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
+    )  # fmt: skip
+    execution.add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
-    add_value(parser, "--runs --seeds", "N", positive, f"number of runs of each kind (default: {numbers})")
+    add_value(parser, "--runs --seeds", "N", execution.positive, f"number of runs of each kind (default: {numbers})")
     add_value(parser, "--first-seed", "N", whole_number("the number", 0), "seed of the first run of each kind", 0)
     add_value(parser, "--minutes", "M", float, "length of tracking runs in min", 10.0)
-    add_execution_options(parser)
-    add_output(parser, Path("out/experiments"), "kind")
+    execution.add_execution_options(parser)
+    execution.add_output(parser, Path("out/experiments"), "kind")
     return parser

@@ -5,8 +5,6 @@ The shortest path is that of the bare body, without any margin.
 """
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import hypot, inf, radians
@@ -19,7 +17,7 @@ import numpy as np
 from localization.cli.arguments import make_folder
 from localization.experiments import execution
 from localization.experiments.execution import ResultCache, code_hash, progress, run_cached
-from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario, simulated_robot
+from localization.experiments.live_trial import SCENARIOS, START_STD, simulated_robot
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
@@ -58,17 +56,12 @@ class DrivePair:
     number
         Number of the pair of start and goal in this world, and seed of the simulation.
     scenario
-        Name of the error scenario.
+        Name of the error scenario; its outliers are not used.
     """
 
     world: str
     number: int
     scenario: str
-
-    @property
-    def errors(self) -> Scenario:
-        """The error scenario; its outliers are not used."""
-        return SCENARIOS[self.scenario]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +161,10 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
     """Simulate one drive."""
     world, ends = load_world(pair.world), ends_of(pair)
     heading = radians(ends.heading_deg)
+    start = Pose(*ends.start, heading, heading)
     # The same mission code as `nomad go`, observed in every period.
     with (
-        simulated_robot(pair.world, pair.errors, pair.number, Pose(*ends.start, heading, heading)) as robot,
+        simulated_robot(pair.world, SCENARIOS[pair.scenario], pair.number, start) as robot,
         _controller(robot, world, pair) as controller,
     ):
         recorder = TruthRecorder(robot, world)
@@ -182,7 +176,7 @@ def drive(pair: DrivePair) -> tuple[DrivePair, DriveResult]:
 
 def _controller(robot: Robot, world: World, pair: DrivePair) -> RobotController:
     """Return the controller of a robot whose initial estimate has an error drawn from START_STD."""
-    errors, state = pair.errors, robot.refresh()
+    errors, state = SCENARIOS[pair.scenario], robot.refresh()
     # The initial error has its own random stream: it is the same in all scenarios.
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)
@@ -230,11 +224,9 @@ def main(arguments: Sequence[str]) -> None:
         results = run_cached(requested, cache, execution.executor_for(drive, options), tally)
     # 3. Summary per world, as JSON file and as table.
     rows = [row(world, [results[pair] for pair in requested if pair.world == world]) for world in options.worlds]
-    written = options.out / f"plan_{options.scenario}.json"
-    drives = [asdict(results[pair]) for pair in requested]
-    written.write_text(json.dumps({"worlds": rows, "drives": drives}, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(rows) if options.json else table(rows, list(results.values())), flush=True)
-    print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
+    content = {"worlds": rows, "drives": [asdict(results[pair]) for pair in requested]}
+    text = table(rows, list(results.values()))
+    execution.write_results(options, f"plan_{options.scenario}.json", rows, text, content)
 
 
 def drive_cache(folder: Path, code: str) -> ResultCache[DrivePair, DriveResult]:
@@ -276,9 +268,7 @@ _COLUMNS: Final = (
 
 def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
     """Return a text table, followed by the drives that failed or touched something."""
-    lines = [["world", *(title for title, _, _ in _COLUMNS)]]
-    lines += [[row["world"], *(format(row[key], form) for _, key, form in _COLUMNS)] for row in rows]
-    text = [execution.text_table(lines)]
+    text = [execution.table_of({"world": "world"}, _COLUMNS, rows)]
     text += [
         f"{drive.world} {drive.number}: {drive.ending}{', CONTACT' if drive.contact else ''}: {drive.reason}"
         for drive in drives

@@ -40,7 +40,7 @@ from localization.mapping.measurements import Indices, drive_of_rows, rotate
 from localization.mapping.output import LearnedMap, describe, draw_learned
 from localization.mapping.problem import COMMON_OFFSET
 from localization.plot import check_picture, save
-from nclient.common.arguments import Parser
+from nclient.common.arguments import Parser, add_value
 from nclient.common.process import show_seconds
 from nclient.errors import LogFileError
 from nclient.recording import convert
@@ -444,8 +444,7 @@ def fly(arguments: Sequence[str]) -> None:
     parser.add_argument("--data", type=Path, required=True, metavar="DIR",
                         help="folder of the bags (docs/real-data.md)")  # fmt: skip
     parser.add_argument("--flights", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: both")
-    parser.add_argument("--out", type=Path, default=Path("out/flights"), metavar="DIR",
-                        help="write logs, model and pictures to this folder (default: %(default)s)")  # fmt: skip
+    add_value(parser, "--out", "DIR", Path, "write logs, model and pictures to this folder", Path("out/flights"))
     parser.add_argument("--json", action="store_true", help="print JSON, an object for each flight")
     options = parser.parse_args(arguments)
     make_folder(options.out)

@@ -2,16 +2,17 @@
 
     predict(distance, turn)          the encoders reported a step      predicted(distance, turn)    the same, not taken
     update(sonar, turret, reading)   an echo, at this instant          belief, health               the estimate
+    process, advance                 all echoes of a ring, of a state  places, smoothed             what some report
 
 Filters are made by name (registry.make). Echoes come in order of time, each after the prediction to its instant.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +21,11 @@ from localization.filters.belief import Belief
 from localization.filters.health import FilterHealth
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, clock_lag, pose_at, relative_step
 from localization.filters.sonar_cone import ConeModel, ConeSonar, cone_sonar
-from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, RingBody, ray_sonar
+from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, ray_sonar
 from localization.filters.update import MeasurementModel, Outcome, UpdateResult
 from worlds.geometry import lengths
 from worlds.rings import Ring
-from worlds.robots import IDEAL_CALIBRATION, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Body, Calibration
 from worlds.world import World
 
 THESIS_ODOMETRY: Final = OdometryNoise()
@@ -33,128 +34,12 @@ RANGE_STDS: Final = (0.35, 0.01)
 """Transducers seldom lie an inch behind or before the ring; 1 % is 6 degrees Celsius."""
 
 
-class Filter(Protocol):
-    """An estimate of a robot's state."""
-
-    @property
-    def belief(self) -> Belief:
-        """Mean (n,) and covariance (n, n), n >= 3: a pose, then parameters."""
-        ...
-
-    @property
-    def health(self) -> FilterHealth:
-        """Status of the estimate."""
-        ...
-
-    def predict(self, distance_in: float, turn_rad: float) -> None:
-        """Predict the belief after a step that the encoders report, inches and radians."""
-        ...
-
-    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
-        """Return the belief after such a step, without taking it, widened by a lag."""
-        ...
-
-    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
-        """Correct the belief by a reading of sonar number `sonar`, the turret turned by so much against the heading."""
-        ...
-
-
-@runtime_checkable
-class Disturbable(Protocol):
-    """A filter that reacts to what the encoders and the clock show of their own errors.
-
-    Attributes
-    ----------
-    detects_slips
-        False while the clock is so uneven that its errors look like slips of the wheels.
-    """
-
-    detects_slips: bool
-
-    def roll_on_spot(self, distance_in: float) -> None:
-        """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
-        ...
-
-
 EncoderRow = tuple[float, float, float, float, float]
 """The encoders at an instant: clock_s, x_in, y_in, heading_rad, turret_rad."""
 NewEcho = tuple[float, int, float]
 """An echo: the instant, the sonar, and its reading in inches."""
-
-
-@runtime_checkable
-class RingFilter(Protocol):
-    """A filter that takes all echoes of a ring in one call."""
-
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `process_each`."""
-        ...
-
-
-def process_each(
-    filter_: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-) -> Sequence[Outcome]:
-    """Predict a filter to the instant of each echo, and update it. `filter_loop.filter_ring` does so in one function.
-
-    Parameters
-    ----------
-    encoders
-        The encoders at the instant to which the filter has predicted.
-    poses
-        The polled encoders, from the last before the first echo.
-    echoes
-        In order of time.
-    """
-    results = []
-    _, x, y, heading, _ = encoders
-    for instant_s, sonar, reading_in in echoes:
-        # 1. The step of the encoders to their pose at the instant of the echo.
-        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-        distance_in, turn_rad = relative_step(x, y, heading, to_x, to_y, to_heading)
-        x, y, heading = to_x, to_y, to_heading
-        # 2. Predict, and correct by the reading.
-        filter_.predict(distance_in, turn_rad)
-        results.append(filter_.update(sonar, turret - to_heading, reading_in))
-    return results
-
-
 Advance = tuple[Sequence[Outcome], EncoderRow, Belief]
 """The outcome of each echo, the encoders at the last one, and the belief predicted from there, as it is reported."""
-
-
-@runtime_checkable
-class StateFilter(Protocol):
-    """A filter that takes a whole state of the robot in one call."""
-
-    def advance(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
-    ) -> Advance:
-        """Predict to the instant of each echo and update, then return the belief at the last pose: `advance_each`."""
-        ...
-
-
-def advance_each(
-    filter_: Filter, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
-) -> Advance:
-    """Predict a filter to the instant of each echo and update it; return the belief that it predicts for the last pose.
-
-    Parameters
-    ----------
-    encoders, poses, echoes
-        As in `process_each`; there may be no echo.
-    clock_std_s
-        Uncertainty of the instants of echoes and states (`odometry.clock_lag`).
-    """
-    outcomes: Sequence[Outcome] = ()
-    if echoes:
-        process = filter_.process if isinstance(filter_, RingFilter) else partial(process_each, filter_)
-        outcomes, last_s = process(encoders, poses, echoes), echoes[-1][0]
-        encoders = (last_s, *pose_at(poses, last_s))
-    step = relative_step(*encoders[1:4], *poses[-1][1:4])
-    lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
-    return outcomes, encoders, filter_.predicted(*step, lag)
 
 
 class Place(NamedTuple):
@@ -164,33 +49,112 @@ class Place(NamedTuple):
     probability: float
 
 
-@runtime_checkable
-class Searching(Protocol):
-    """A filter that may consider several poses at once."""
+class Filter(ABC):
+    """An estimate of a robot's state.
+
+    Attributes
+    ----------
+    detects_slips
+        False while the clock is so uneven that its errors look like slips of the wheels.
+    """
+
+    detects_slips = True
+
+    @property
+    @abstractmethod
+    def belief(self) -> Belief:
+        """Mean (n,) and covariance (n, n), n >= 3: a pose, then parameters."""
+
+    @property
+    @abstractmethod
+    def health(self) -> FilterHealth:
+        """Status of the estimate."""
+
+    @abstractmethod
+    def predict(self, distance_in: float, turn_rad: float) -> None:
+        """Predict the belief after a step that the encoders report, inches and radians."""
+
+    @abstractmethod
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+        """Return the belief after such a step, without taking it, widened by a lag."""
+
+    @abstractmethod
+    def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
+        """Correct the belief by a reading of sonar number `sonar`, the turret turned by so much against the heading."""
+
+    def process(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
+    ) -> Sequence[Outcome]:
+        """Predict to the instant of each echo, and update. `filter_loop.filter_ring` does so in one function.
+
+        Parameters
+        ----------
+        encoders
+            The encoders at the instant to which the filter has predicted.
+        poses
+            The polled encoders, from the last before the first echo.
+        echoes
+            In order of time.
+        """
+        results = []
+        _, x, y, heading, _ = encoders
+        for instant_s, sonar, reading_in in echoes:
+            # 1. The step of the encoders to their pose at the instant of the echo.
+            to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
+            distance_in, turn_rad = relative_step(x, y, heading, to_x, to_y, to_heading)
+            x, y, heading = to_x, to_y, to_heading
+            # 2. Predict, and correct by the reading.
+            self.predict(distance_in, turn_rad)
+            results.append(self.update_at(instant_s, sonar, turret - to_heading, reading_in))
+        return results
+
+    def update_at(self, instant_s: float, sonar: int, turret_offset_rad: float, reading_in: float) -> Outcome:  # noqa: ARG002
+        """Correct the belief by a reading of this instant; only a filter of a user takes note of the time."""
+        return self.update(sonar, turret_offset_rad, reading_in)
+
+    def advance(
+        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
+    ) -> Advance:
+        """Take a whole state of the robot: `process` its echoes; return the belief that is predicted for the last pose.
+
+        Parameters
+        ----------
+        encoders, poses, echoes
+            As in `process`; there may be no echo.
+        clock_std_s
+            Uncertainty of the instants of echoes and states (`odometry.clock_lag`).
+        """
+        outcomes: Sequence[Outcome] = ()
+        if echoes:
+            outcomes, last_s = self.process(encoders, poses, echoes), echoes[-1][0]
+            encoders = (last_s, *pose_at(poses, last_s))
+        step = relative_step(*encoders[1:4], *poses[-1][1:4])
+        lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
+        return outcomes, encoders, self.predicted(*step, lag)
+
+    def roll_on_spot(self, distance_in: float) -> None:  # noqa: B027  most filters do without
+        """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
+
+    # Of a filter that may consider several poses at once.
 
     @property
     def places(self) -> tuple[Place, ...]:
         """The poses, the most probable first; none while searching."""
-        ...
+        return ()
 
     @property
     def informative_turn_rad(self) -> float | None:
         """Turn from the present heading to the direction in which the poses differ soonest; None without any."""
-        ...
+        return None
 
+    # Of a filter that also estimates a past state from all readings since.
 
-@runtime_checkable
-class Smoothing(Protocol):
-    """A filter that also estimates a past state from all readings since."""
+    lag = 0
+    """Number of predictions that it looks back."""
 
-    @property
-    def lag(self) -> int:
-        """Number of predictions that it looks back."""
-        ...
-
-    def smoothed(self) -> Belief:
+    def smoothed(self) -> Belief | None:
         """Return the belief over the state `lag` predictions ago (the first, where there were fewer)."""
-        ...
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +183,7 @@ class LocalizationConfig:
     """
 
     walls: npt.ArrayLike
-    body: RingBody
+    body: Body
     odometry: OdometryNoise = THESIS_ODOMETRY
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
@@ -252,12 +216,8 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
 
 
 def measurement_model(
-    walls: npt.ArrayLike,
-    body: RingBody,
-    sonar: RaySonar | ConeSonar,
-    gate: Gate = STRICT,
-    range_parameters: int = 0,
-) -> MeasurementModel:
+    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, range_parameters: int = 0,
+) -> MeasurementModel:  # fmt: skip
     """Return the measurement model for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     if isinstance(sonar, ConeSonar):
         return ConeModel(walls, body, sonar, range_parameters)

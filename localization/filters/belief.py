@@ -90,8 +90,7 @@ class Belief:
     @property
     def std(self) -> Floats:
         """Standard deviation of each coordinate, (..., n)."""
-        std: Floats = np.sqrt(np.diagonal(self.cov, axis1=-2, axis2=-1))
-        return std
+        return np.sqrt(np.diagonal(self.cov, axis1=-2, axis2=-1))
 
     @property
     def pose(self) -> Belief:
@@ -186,8 +185,7 @@ def component(states: Floats, index: int) -> Floats:
 
     Of a single state that is a numpy scalar, not an array without dimensions: arithmetic takes a fifth of the time.
     """
-    values: Floats = states[..., index][()]
-    return values
+    return states[..., index][()]
 
 
 def add(state: Floats, change: Floats) -> Floats:

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.base import LocalizationConfig, measurement_model
+from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import (
     HEADING,
     POSE,
@@ -36,10 +36,9 @@ from localization.filters.belief import (
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen_by_lag
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
-from localization.filters.sonar_ray import RaySonar, RingBody, range_variance
+from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     INFORMATIVE,
-    MeasurementModel,
     Refusal,
     UpdateResult,
     linear,
@@ -47,7 +46,7 @@ from localization.filters.update import (
     result_of,
     update_by_association,
 )
-from worlds.robots import SONARS
+from worlds.robots import SONARS, Body
 
 OFFSET: Final = MAX_STATE
 RING_TURN: Final = OFFSET + 1
@@ -120,7 +119,7 @@ class ConeAim:
     is evaluated at NODES and replaced by its mean and variance (assumed density filtering).
     """
 
-    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar) -> None:
         self._model = ConeModel(walls, body, sonar)
 
     def posterior(self, reading: AimReading) -> tuple[float, float]:
@@ -169,7 +168,7 @@ def _likelihood(
 # 2. The filter.
 
 
-class CalibratingFilter:
+class CalibratingFilter(Filter):
     """Extended Kalman filter over the long state; see the head of this file.
 
     Parameters
@@ -188,10 +187,13 @@ class CalibratingFilter:
         prior.cov[:size, :size] = start.cov
         self._x, self._P = unpack(prior)
         self._odometry, self._sonar = config.odometry, config.sonar
-        self._model = _tolerant(config)
-        self._aim = None
-        if isinstance(config.sonar, ConeSonar):
-            self._aim = ConeAim(config.walls, config.body, config.sonar)
+        sonar, self._aim = config.sonar, None
+        if isinstance(sonar, ConeSonar):
+            self._aim = ConeAim(config.walls, config.body, sonar)
+        else:
+            # The gate of the model leaves room for the offsets; the filter gates afterwards.
+            sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
+        self._model = measurement_model(config.walls, config.body, sonar, config.gate)
         self._monitor = IntegrityMonitor()
         self._threshold = chi_square_quantile(GATE_PROBABILITY, 1)
 
@@ -289,11 +291,3 @@ def _long_derivative(H: Sequence[float], sonar: int, size: int) -> list[float]:
     derivative[RING_TURN] = by_heading
     derivative[OFFSET] = derivative[OWN + sonar] = 1.0
     return derivative
-
-
-def _tolerant(config: LocalizationConfig) -> MeasurementModel:
-    """Return a measurement model whose gate leaves room for the offsets; the filter gates afterwards."""
-    sonar: RaySonar | ConeSonar = config.sonar
-    if isinstance(sonar, RaySonar):
-        sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
-    return measurement_model(config.walls, config.body, sonar, config.gate)

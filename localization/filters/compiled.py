@@ -246,19 +246,20 @@ def _choose(condition: Any, value: Any, other: Any) -> Any:
     return value if condition else other
 
 
-_FORMS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
-    sonar_ray.wall_rows: _wall_rows,
-    sonar_cone.rows_of_five: _rows_of_five,
-    sonar_cone.rows_of_three: _rows_of_three,
-    sonar_ray.nearest: _nearest,
-    sonar_ray.line_of: _line_of,
-    belief.choose: _choose,
-}
-
-
 def _same(form: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that gives numba this form for arguments of any type."""
     return lambda *_: form
+
+
+_FORMS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
+    sonar_ray.wall_rows: _form_of_rows,
+    sonar_cone.rows_of_five: _form_for_arrays(_rows_of_five),
+    sonar_cone.rows_of_three: _form_for_arrays(_rows_of_three),
+    sonar_ray.nearest: _same(_nearest),
+    sonar_ray.line_of: _same(_line_of),
+    belief.choose: _same(_choose),
+}
+"""What chooses the form of a function by the types of its arguments."""
 
 
 @cache
@@ -269,13 +270,7 @@ def load() -> bool:
         import numba.extending
     except ImportError:
         return False
-    for function, form in _FORMS.items():
-        if form is _wall_rows:
-            of_type = _form_of_rows
-        elif form in {_rows_of_five, _rows_of_three}:
-            of_type = _form_for_arrays(form)
-        else:
-            of_type = _same(form)
+    for function, of_type in _FORMS.items():
         numba.extending.overload(function, strict=False)(of_type)
     from numba.np.unsafe import ndarray
 

@@ -5,10 +5,10 @@
     method, model             echoes of a ring              predicts by               corrects by
     ekf, rays                 filter_ring                   odometry.predict_state    sonar_ray.update_by_ray
     ekf, cones                filter_ring                   odometry.predict_state    sonar_cone.update_by_cone
-    ekf, walls with levels    process_each, one by one      odometry.predict_state    update.pda_update, update.linear
-    iekf                      process_each, one by one      odometry.predict_state    update.pda_update, update.iterated
-    ukf                       process_each, one by one      ukf.predict_state         update.pda_update, ukf.unscented
-    smoother                  process_each, one by one      odometry.predict_state    as ekf
+    ekf, walls with levels    Filter.process                odometry.predict_state    update.pda_update, update.linear
+    iekf                      Filter.process                odometry.predict_state    update.pda_update, update.iterated
+    ukf                       Filter.process                ukf.predict_state         update.pda_update, ukf.unscented
+    smoother                  Filter.process                odometry.predict_state    as ekf
 
 `filter_loop` has `filter_ring`, and `filter_state` from the echoes to the estimate that is reported. numba compiles it
 where that is wanted (`compiled.filter_of`), with the same results to the bit.
@@ -24,11 +24,18 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from localization.filters import compiled
-from localization.filters.base import Advance, EncoderRow, NewEcho, advance_each, process_each
+from localization.filters.base import Advance, EncoderRow, Filter, NewEcho
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
-from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
+from localization.filters.health import (
+    FilterHealth,
+    HealthLimits,
+    IntegrityMonitor,
+    Signs,
+    clear_slips,
+    slip_probability,
+)
 from localization.filters.odometry import (
     NO_LAG,
     Lag,
@@ -63,7 +70,7 @@ NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
 
-class KalmanFilter:
+class KalmanFilter(Filter):
     """Kalman filter over a pose, odometry parameters, and the errors that all readings have in common.
 
     For each echo, a scalar reading z at the end of a step u = (distance, turn) of the encoders, in order:
@@ -116,28 +123,21 @@ class KalmanFilter:
     """False: a subclass needs every prediction of its own."""
 
     def __init__(
-        self,
-        belief: Belief,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-        prediction: Prediction = predict_state,
-        range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0),
-        limits: HealthLimits | None = None,
-    ) -> None:
+        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
+        prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
+        middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None,
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
-        self._odometric = measurement.odometric
-        """The model, where it relates an echo to earlier ones and so needs each step: walls with levels."""
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.
-        constant_stds = (*(self._odometric.level_stds if self._odometric else ()), *range_stds)
+        constant_stds = (*measurement.level_stds, *range_stds)
         state = with_constants(belief, constant_stds)
         self._size, self._constants, self._middle_in = len(belief.mean), len(constant_stds), middle_in
         self._has_scale = bool(range_stds)
         # The path of the echoes, as in the table at the head of this file.
         takes_rings = self.TAKES_RINGS and prediction is predict_state
         self._direct = measurement.direct if takes_rings else None
-        """The model, where `filter_state` takes a whole state by it; None: `process_each`, one by one."""
+        """The model, where `filter_state` takes a whole state by it; None: `Filter.process`, one by one."""
         # The monitor of the estimate, and the outcomes that it judges by.
         self._monitor = IntegrityMonitor(limits)
         self._config = filter_config(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
@@ -151,15 +151,14 @@ class KalmanFilter:
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
         self._correlated = CorrelatedReadings(as_array=is_compiled)
         self._memory = FilterMemory(
-            self._x, self._P, self._correlated.used, self._monitor.slip.sums, self._monitor.windows
+            self._x, self._P, self._correlated.used, self._monitor.slip_sums, self._monitor.windows
         )
         self._has_slip_test = self._monitor.limits.slip_nats < inf
         noise = self._direct.noise if self._direct else None
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
-        self._informative = INFORMATIVE_IN_CLUTTER if self._odometric else INFORMATIVE
-        self.detects_slips = True
+        self._informative = INFORMATIVE_IN_CLUTTER if measurement.level_stds else INFORMATIVE
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -184,8 +183,9 @@ class KalmanFilter:
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict the belief after a step that the encoders report: x- = f(x, u), P- = F P F^T + G Q G^T."""
         self._signs = None
-        if self._odometric:
-            self._odometric.move(*true_step(self._x, distance_in, turn_rad, self._constants))
+        # Walls with levels relate an echo to earlier ones.
+        if self._measurement.level_stds:
+            self._measurement.move(*true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
@@ -207,16 +207,18 @@ class KalmanFilter:
         if result.refusal in self._informative:
             self._monitor.add(result)
             if self.detects_slips and self._has_slip_test:
-                self._monitor.slip.add(result.innovation_in, result.nis, result.slope)
-            self._check_slip()
+                self._monitor.add_innovation(result.innovation_in, result.nis, result.slope)
+            # The last readings may agree on a slip of the wheels.
+            if slip_in := self._monitor.take_slip():
+                widen_by_slip(self._x, self._P, slip_in)
         return result
 
     def process(
         self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
     ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `process_each`."""
+        """Predict to the instant of each echo and update; see `Filter.process`."""
         if not self._direct:
-            outcomes = process_each(self, encoders, poses, echoes)
+            outcomes = super().process(encoders, poses, echoes)
             if self._headings and echoes:
                 self._check_heading(poses, echoes)
             return outcomes
@@ -227,7 +229,7 @@ class KalmanFilter:
     ) -> Advance:
         """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
         if not self._config:
-            return advance_each(self, encoders, poses, echoes, clock_std_s)
+            return super().advance(encoders, poses, echoes, clock_std_s)
         # 1. A limit is no range: the filter passes over it. It predicts to the last echo in any case.
         (low_in, high_in), ranges = self._limits_in, echoes
         if len(echoes) > 1:
@@ -259,7 +261,7 @@ class KalmanFilter:
 
         That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
-        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, self._monitor.slip.slipped
+        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, slip_probability(self._monitor.slip_sums)
         scale = float(self._x[-1]) if self._has_scale else 0.0
         x, P = unpack(self.belief)
         widen_prediction(
@@ -272,12 +274,6 @@ class KalmanFilter:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
         self._signs = None
         widen_by_rolling(self._x, self._P, distance_in, self._odometry)
-
-    def _check_slip(self) -> None:
-        """Widen the covariance by a slip of the wheels if the last readings agree on one."""
-        slip_in = self._monitor.take_slip()
-        if slip_in:
-            widen_by_slip(self._x, self._P, slip_in)
 
     def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> bool:
         """Correct the heading, and the state with it, if many readings are outliers that agree on another heading.
@@ -296,7 +292,7 @@ class KalmanFilter:
         shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
         self._correlated.forget_outliers()
-        self._monitor.slip.reset()
+        clear_slips(self._monitor.slip_sums)
         self._signs = None
         return True
 

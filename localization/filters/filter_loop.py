@@ -103,7 +103,7 @@ class StateInput(NamedTuple):
     Attributes
     ----------
     encoders, poses, echoes
-        As in `base.process_each`.
+        As in `base.Filter.process`.
     clock_std_s
         As in `odometry.clock_lag`.
     detects_slips
@@ -118,13 +118,9 @@ class StateInput(NamedTuple):
 
 
 def filter_state(
-    memory: FilterMemory,
-    state: StateInput,
-    config: FilterConfig,
-    correct: Callable[..., Outcome],
-    mean: State,
+    memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome], mean: State,
     cov: Covariance,
-) -> tuple[list[Outcome], EncoderRow, Signs]:
+) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
     """Filter by all echoes of a state of the robot, and predict from the last one to the state.
 
     `compiled` compiles this function with all that it calls.
@@ -176,17 +172,9 @@ def filter_state(
 
 
 def filter_ring(
-    x: State,
-    P: Covariance,
-    used: Used,
-    slip_sums: SlipSums,
-    encoders: EncoderRow,
-    poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho],
-    noise: OdometryNoise,
-    model: DirectModel,
-    correct: Callable[..., Outcome],
-) -> tuple[list[Outcome], EncoderRow]:
+    x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow, poses: Sequence[EncoderRow],
+    echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel, correct: Callable[..., Outcome],
+) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
     """Filter x, P by all echoes of a ring in order of time, in place; return their outcomes and the last encoders.
 
     This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists.
@@ -198,9 +186,9 @@ def filter_ring(
     used
         Of `CorrelatedReadings`.
     slip_sums
-        Of `health.SlipTest`; without rows, slips are not looked for.
+        Of `health.IntegrityMonitor`; without rows, slips are not looked for.
     encoders, poses, echoes
-        As in `base.process_each`.
+        As in `base.Filter.process`.
     correct
         The update by the model: `sonar_ray.update_by_ray` or `sonar_cone.update_by_cone`.
     """

@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.base import Place
+from localization.filters.base import Filter, Place
 from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
@@ -36,7 +36,6 @@ from localization.filters.pose_search import (
     RANGE_SPAN_IN,
     EchoRecord,
     EchoReplay,
-    Hypothesis,
     PendingSearch,
     PoseSearch,
     Prior,
@@ -85,12 +84,8 @@ class SequentialTest:
     """
 
     def __init__(
-        self,
-        near: Belief | None,
-        elsewhere: Belief | None,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-    ) -> None:
+        self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         beliefs = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
         self._beliefs = {side: belief for side, belief in beliefs.items() if belief is not None}
@@ -172,7 +167,7 @@ def is_wide(belief: Belief) -> bool:
     return bool((belief.std[:POSE] > (WIDE_IN, WIDE_IN, WIDE_RAD)).any())
 
 
-class GlobalLocalizer:
+class GlobalLocalizer(Filter):
     """Extended Kalman filter that detects when it is lost, and searches the map; see the head of this file.
 
     Parameters
@@ -190,16 +185,10 @@ class GlobalLocalizer:
     """
 
     def __init__(
-        self,
-        belief: Belief | None,
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
-        poses: PoseSearch,
-        sonar_angles_rad: Sequence[float],
-        parameter_stds: tuple[float, ...] = (),
-        monitor: IntegrityMonitor | None = None,
-        alike: Sequence[Floats] = (),
-    ) -> None:
+        self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise, poses: PoseSearch,
+        sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
+        monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = (),
+    ) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         self._replay = EchoReplay(measurement, odometry)
         self._replay.load()
@@ -217,7 +206,7 @@ class GlobalLocalizer:
         self._requested: Floats = np.zeros(POSE)
         # 2. While lost: the history, the hypotheses at `_requested`, and whether a search and an advance agree.
         self._history: deque[EchoRecord] = deque(maxlen=MAX_HISTORY)
-        self._hypotheses: list[Hypothesis] = []
+        self._hypotheses: list[Place] = []
         self._turn: tuple[float, float] | None = None
         self._is_search, self._is_confirmed = True, False
         self._until_search = 0
@@ -227,26 +216,26 @@ class GlobalLocalizer:
         self._prior = Prior(belief.pose, self._encoders) if wide and belief is not None else None
         if wide:
             self._reason = "the start is too uncertain"
-        self._alike: list[Hypothesis] = []
+        self._alike: list[Place] = []
         if self._estimate is not None:
             cov = self._estimate.cov[:POSE, :POSE]
             self._alike = [
-                Hypothesis(with_pose(Belief(np.array(pose), cov), self._estimate), ALIKE_WEIGHT)
+                Place(with_pose(Belief(np.array(pose), cov), self._estimate), ALIKE_WEIGHT)
                 for pose in alike[:MAX_PLACES]
             ]
 
     @property
-    def hypotheses(self) -> list[Hypothesis]:
+    def places(self) -> tuple[Place, ...]:
         """Poses that are possible, the most probable first, or the estimate; none while searching."""
         if self._estimate is not None:
             total = 1.0 + sum(each.probability for each in self._alike)
-            beside = [Hypothesis(each.belief, each.probability / total) for each in self._alike]
-            return [Hypothesis(self._estimate, 1.0 / total), *beside]
+            beside = [Place(each.belief, each.probability / total) for each in self._alike]
+            return (Place(self._estimate, 1.0 / total), *beside)
         # Moved on by the encoders: filtered along the echoes since they are a little later.
-        return [
-            Hypothesis(moved(each.belief, self._requested, self._encoders), each.probability)
+        return tuple(
+            Place(moved(each.belief, self._requested, self._encoders), each.probability)
             for each in self._hypotheses[:MAX_PLACES]
-        ]
+        )
 
     @property
     def belief(self) -> Belief:
@@ -258,11 +247,6 @@ class GlobalLocalizer:
         if self._prior:
             return with_parameters(moved(*self._prior, self._encoders), self._parameter_stds)
         return with_parameters(Belief(np.zeros(POSE), np.diag(np.square(UNKNOWN_STD))), self._parameter_stds)
-
-    @property
-    def places(self) -> tuple[Place, ...]:
-        """The most probable hypotheses."""
-        return tuple(Place(hypothesis.belief, hypothesis.probability) for hypothesis in self.hypotheses)
 
     @property
     def informative_turn_rad(self) -> float | None:
@@ -294,7 +278,7 @@ class GlobalLocalizer:
         if self._estimate is not None:
             self._estimate = predict(self._estimate, step, self._odometry)
             self._alike = [
-                Hypothesis(predict(each.belief, step, self._odometry), each.probability) for each in self._alike
+                Place(predict(each.belief, step, self._odometry), each.probability) for each in self._alike
             ]
         if self._test:
             self._test.predict(distance_in, turn_rad)
@@ -338,7 +322,7 @@ class GlobalLocalizer:
             )
             weight = each.probability * (result.likelihood / likelihood) ** EVIDENCE_SHARE
             if weight >= ALIKE_WEIGHT * MIN_WEIGHT:
-                beside.append(Hypothesis(belief, weight))
+                beside.append(Place(belief, weight))
         self._alike = sorted(beside, key=lambda each: -each.probability)
         if self._alike and self._alike[0].probability > 1.0:
             self._give_up("a place that looks like the start explains the readings better")

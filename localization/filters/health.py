@@ -5,7 +5,7 @@
     LOST            the evidence has fallen by `lost_nats` from its maximum: a CUSUM test
     suspicious      it has fallen by `suspicious_nats`, or few readings are explained: worth a search for another pose
     DEGRADED        the matched fraction or the NIS of the last readings, or the standard deviation, is beyond its limit
-    slip            the last readings agree on another place along the heading (`SlipTest`): its probability widens what
+    slip            the last readings agree on another place along the heading: the probability of that widens what
                     is reported; above 1/2 DEGRADED; and a filter widens its covariance (`IntegrityMonitor.take_slip`)
     NIS ratio       mean NIS of the window, if that is significantly above 1: what is reported is widened by it
 
@@ -68,7 +68,7 @@ class HealthLimits:
     max_std_in
         Largest standard deviation of the position, along its worst direction.
     slip_nats
-        Evidence of a slip (`SlipTest`) that widens the covariance.
+        Evidence of a slip (the slip test) that widens the covariance.
     heading_nats
         Evidence of another heading (`HeadingTest`) that corrects it.
     after_slip
@@ -94,6 +94,21 @@ BUILDING: Final = HealthLimits(max_std_in=18.0, nis_probability=1.0 - 1e-6)
 and a wider limit of the NIS, as the innovations of two hypotheses have heavier tails than a normal distribution."""
 HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
+
+# The slip test: whether recent readings agree that the robot is displaced along its heading, and by how much.
+#
+# A generalized likelihood ratio test for a step. The range of a reading changes by h for each inch that the robot is
+# displaced forwards (`update.forward_slope`), so its innovation, of variance S, has the mean 0 without a slip and h d
+# after one by d. The log likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of
+# DISPLACEMENTS_IN from the instant at which the sum was last 0: the most likely instant of the slip (CUSUM). The
+# largest sum decides (`take_slip`). Bad readings agree on no displacement.
+#
+# The mean of the ratios over the displacements, times the odds of a slip in a round of the ring, are its odds after
+# the readings (`slip_probability`). Slips are a Poisson process: their rate has a gamma distribution of the shape
+# k = SLIP_RATE_SHAPE, of which one slip in ROUNDS_PER_SLIP is the mean before the first reading, and
+# (k + slips) / (k ROUNDS_PER_SLIP + rounds) later.
+#
+# References: Basseville, Nikiforov, Detection of Abrupt Changes (1993), sections 2.4 and 7.2.
 
 DISPLACEMENTS_IN: Final = (-5.0, -3.0, -2.0, 2.0, 3.0, 5.0)
 """Displacements along the heading that are tested, inches."""
@@ -150,7 +165,7 @@ def displacement_evidence(innovation_in: float, nis: float, shift_in: float) -> 
 
 
 def add_slip_evidence(slip_sums: SlipSums, innovation_in: float, nis: float, slope: float) -> None:
-    """Add the evidence of a reading to that of each displacement, in place: one step of the CUSUM of `SlipTest`.
+    """Add the evidence of a reading to that of each displacement, in place: one step of the CUSUM of the slip test.
 
     Parameters
     ----------
@@ -226,63 +241,6 @@ def clear_slips(slip_sums: SlipSums) -> None:
     """Set the sums to 0; the counts, and so the rate of slips, stay."""
     for j in range(LARGEST + 1):
         slip_sums[0][j] = slip_sums[1][j] = 0.0
-
-
-class SlipTest:
-    """Test whether recent readings agree that the robot is displaced along its heading, and by how much.
-
-    A generalized likelihood ratio test for a step. The range of a reading changes by h for each inch that the robot is
-    displaced forwards (`update.forward_slope`), so its innovation, of variance S, has the mean 0 without a slip and h d
-    after one by d. The log likelihood ratio of both, 1/2 (nu^2 - (nu - h d)^2) / S, is summed for each d of
-    DISPLACEMENTS_IN from the instant at which the sum was last 0: the most likely instant of the slip (CUSUM). The
-    largest sum decides (`take_slip`). Bad readings agree on no displacement.
-
-    The mean of the ratios over the displacements, times the odds of a slip in a round of the ring, are its odds after
-    the readings (`slip_probability`). Slips are a Poisson process: their rate has a gamma distribution of the shape
-    k = SLIP_RATE_SHAPE, of which one slip in ROUNDS_PER_SLIP is the mean before the first reading, and
-    (k + slips) / (k ROUNDS_PER_SLIP + rounds) later.
-
-    Parameters
-    ----------
-    as_array
-        Store `sums` in an array, as compiled code takes them, instead of lists.
-
-    Attributes
-    ----------
-    sums
-        For the functions above.
-
-    References
-    ----------
-    Basseville, Nikiforov, Detection of Abrupt Changes (1993), sections 2.4 and 7.2.
-    """
-
-    def __init__(self, *, as_array: bool = False) -> None:
-        self.sums: SlipSums = np.array(empty_slip_sums()) if as_array else empty_slip_sums()
-
-    def reset(self) -> None:
-        """Begin anew; the rate of slips stays."""
-        clear_slips(self.sums)
-
-    def add(self, innovation_in: float, nis: float, slope: float) -> None:
-        """Take note of a reading, see `add_slip_evidence`."""
-        add_slip_evidence(self.sums, innovation_in, nis, slope)
-        self.sums[COUNTS][READINGS] += 1.0
-
-    @property
-    def max_evidence_nats(self) -> float:
-        """An upper bound of the evidence: `max_slip_evidence`."""
-        return max_slip_evidence(self.sums)
-
-    @property
-    def most_likely(self) -> tuple[float, float]:
-        """The most likely displacement, and its evidence: `most_likely_slip`."""
-        return most_likely_slip(self.sums)
-
-    @property
-    def slipped(self) -> tuple[float, float]:
-        """Probability of a slip, and the mean square of the displacement by it: `slip_probability`."""
-        return slip_probability(self.sums)
 
 
 # The window of the last readings.
@@ -382,11 +340,14 @@ class IntegrityMonitor:
 
     def __init__(self, limits: HealthLimits | None = None, *, as_array: bool = False) -> None:
         self.limits = limits or HealthLimits()
-        self._fall = 0.0
+        self.fall_nats = 0.0
+        """Fall of the evidence from its maximum."""
         windows = empty_windows(self.limits.window)
         self.windows: Windows = np.array(windows) if as_array else windows
         """The last readings."""
-        self.slip = SlipTest(as_array=as_array)
+        slip_sums = empty_slip_sums()
+        self.slip_sums: SlipSums = np.array(slip_sums) if as_array else slip_sums
+        """Evidence of a slip."""
 
     @property
     def max_totals(self) -> tuple[float, ...]:
@@ -396,19 +357,14 @@ class IntegrityMonitor:
     @property
     def is_lost(self) -> bool:
         """True if the evidence alone means LOST."""
-        return self._fall >= self.limits.lost_nats
-
-    @property
-    def fall_nats(self) -> float:
-        """Fall of the evidence from its maximum."""
-        return self._fall
+        return self.fall_nats >= self.limits.lost_nats
 
     def reset(self) -> None:
         """Begin with a new estimate."""
-        self._fall = 0.0
+        self.fall_nats = 0.0
         for window, empty in zip(self.windows, empty_windows(self.limits.window), strict=True):
             window[:] = empty
-        self.slip.reset()
+        clear_slips(self.slip_sums)
 
     def add_evidence(self, likelihood: float, anywhere: float, result: Outcome | None) -> None:
         """Take note of a reading.
@@ -421,18 +377,23 @@ class IntegrityMonitor:
             Its outcome, where it was a range.
         """
         evidence = max(-self.limits.max_loss_nats, min(self.limits.max_gain_nats, log(likelihood / anywhere)))
-        self._fall = max(0.0, self._fall - evidence)
+        self.fall_nats = max(0.0, self.fall_nats - evidence)
         if result is not None:
             self.add(result)
 
     def add(self, result: Outcome) -> None:
         """Take note of the outcome of a range; all that a filter can report that considers one pose only."""
         _, _, nis, outlier_probability, _, _ = result
-        add_reading(self.windows, self.slip.sums, nis, outlier_probability)
+        add_reading(self.windows, self.slip_sums, nis, outlier_probability)
+
+    def add_innovation(self, innovation_in: float, nis: float, slope: float) -> None:
+        """Take note of a reading as evidence of a slip, see `add_slip_evidence`."""
+        add_slip_evidence(self.slip_sums, innovation_in, nis, slope)
+        self.slip_sums[COUNTS][READINGS] += 1.0
 
     def take_slip(self) -> float:
         """Return the displacement of a slip that readings show, and begin anew: see the function."""
-        return take_slip(self.slip.sums, self.limits.slip_nats)
+        return take_slip(self.slip_sums, self.limits.slip_nats)
 
     @property
     def nis_ratio(self) -> float:
@@ -442,16 +403,16 @@ class IntegrityMonitor:
     @property
     def is_suspicious(self) -> bool:
         """True if a search for a better pose is worth its time."""
-        return self._fall >= self.limits.suspicious_nats or matched_fraction(self.windows) < self.limits.min_matched
+        return self.fall_nats >= self.limits.suspicious_nats or matched_fraction(self.windows) < self.limits.min_matched
 
     @property
     def reason(self) -> str:
         """Reason for giving up the estimate."""
-        return f"readings fit anywhere on the map better than here, by e^{self._fall:.0f}"
+        return f"readings fit anywhere on the map better than here, by e^{self.fall_nats:.0f}"
 
     def signs(self, P: Sequence[Sequence[float]] | Floats) -> Signs:
         """Return the signs of the health of an estimate of covariance P now."""
-        return signs_of(P, self.windows, self.slip.sums, self.max_totals)
+        return signs_of(P, self.windows, self.slip_sums, self.max_totals)
 
     def health(self, P: Sequence[Sequence[float]] | Floats) -> FilterHealth:
         """Return the health of an estimate of covariance P now."""
@@ -463,15 +424,14 @@ class IntegrityMonitor:
         if self.is_lost:
             return FilterHealth(HealthStatus.LOST, self.reason)
         if std > limits.max_std_in:
-            return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {std:.1f} in only")
+            reason = f"the position is known to {std:.1f} in only"
         # The outcomes of the last readings, once there are enough.
-        if matched < limits.min_matched:
+        elif matched < limits.min_matched:
             reason = f"only {matched:.0%} of the last {limits.window} echoes are explained"
-            return FilterHealth(HealthStatus.DEGRADED, reason)
-        if since_slip < limits.after_slip or slipped > MAX_SLIP_PROBABILITY:
+        elif since_slip < limits.after_slip or slipped > MAX_SLIP_PROBABILITY:
             reason = "the wheels may have slipped: readings agree on another place along the heading"
-            return FilterHealth(HealthStatus.DEGRADED, reason)
-        if ratio <= limits.max_nis_ratio:
+        elif ratio > limits.max_nis_ratio:
+            reason = f"squared innovations are {ratio:.1f} times as large as they should be"
+        else:
             return HEALTHY
-        reason = f"squared innovations are {ratio:.1f} times as large as they should be"
         return FilterHealth(HealthStatus.DEGRADED, reason)

@@ -149,13 +149,8 @@ def parameter_columns(
 
 
 def predict_state(
-    x: list[Number],
-    P: list[list[Number]],
-    distance: Number,
-    turn: Number,
-    noise: OdometryNoise,
-    constants: int = 0,
-) -> None:
+    x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise, constants: int = 0,
+) -> None:  # fmt: skip
     """Predict x and P after a step that the encoders report, in place: the prediction step of the Kalman filter.
 
     Parameters
@@ -391,18 +386,9 @@ def widen_by_slip(x: list[float], P: list[list[float]], slip_in: float) -> None:
 
 
 def widen_prediction(
-    x: list[float],
-    P: list[list[float]],
-    distance: float,
-    turn: float,
-    noise: OdometryNoise,
-    nis_ratio: float,
-    lag: Lag,
-    scale: float,
-    middle: tuple[float, float],
-    slipped_in2: float,
-    prediction: Prediction,
-) -> None:
+    x: list[float], P: list[list[float]], distance: float, turn: float, noise: OdometryNoise, nis_ratio: float,
+    lag: Lag, scale: float, middle: tuple[float, float], slipped_in2: float, prediction: Prediction,
+) -> None:  # fmt: skip
     """Predict x, P after a step, in place, and widen P by what the filter leaves out of it.
 
     Parameters

@@ -14,7 +14,7 @@ import importlib
 import importlib.util
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -23,10 +23,10 @@ from typing import Any, Final, NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho
+from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import POSE, Belief
 from localization.filters.health import FilterHealth, IntegrityMonitor
-from localization.filters.odometry import NO_LAG, Lag, add_lag, pose_at, predict, relative_step
+from localization.filters.odometry import NO_LAG, Lag, add_lag, predict
 from localization.filters.update import GATE, LIMIT, NONE, Outcome, UpdateResult, mount_at, result_of
 from nclient.errors import NomadError, suggest
 
@@ -79,30 +79,26 @@ class OwnFilter(Protocol):
     @property
     def x(self) -> npt.ArrayLike:
         """Return the estimate: x_in, y_in, heading in radians, and what else the filter estimates."""
-        ...
 
     @property
     def P(self) -> npt.ArrayLike:
         """Return its covariance."""
-        ...
 
     def predict(self, distance_in: float, turn_rad: float) -> None:
         """Predict after a step that the encoders report: so far along the heading, and so far turned."""
-        ...
 
     def update(self, echo: TimedEcho) -> tuple[float, float] | None:
         """Correct the estimate, which is predicted to the echo's instant.
 
         Return the innovation in inches and its variance S, or None if the echo was not used.
         """
-        ...
 
 
 OwnFactory = Callable[[LocalizationConfig, Belief], OwnFilter]
 
 
-class OwnFilterAdapter:
-    """A filter of a user with the interface of `base.Filter` and `base.RingFilter`.
+class OwnFilterAdapter(Filter):
+    """A filter of a user with the interface of `base.Filter`.
 
     Its health is judged by the innovations that `update` returns. The estimate at a state, after the last echo, is
     predicted by the odometry model of this package from the filter's x and P.
@@ -138,22 +134,10 @@ class OwnFilterAdapter:
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Call the filter's `update`, with an echo without a time."""
-        return result_of(self._update(math.nan, sonar, turret_offset_rad, reading_in))
+        return result_of(self.update_at(math.nan, sonar, turret_offset_rad, reading_in))
 
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
-        """Predict to the instant of each echo and update; see `base.process_each`."""
-        outcomes = []
-        _, x, y, heading, _ = encoders
-        for instant_s, sonar, reading_in in echoes:
-            to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-            self.predict(*relative_step(x, y, heading, to_x, to_y, to_heading))
-            outcomes.append(self._update(instant_s, sonar, turret - to_heading, reading_in))
-            x, y, heading = to_x, to_y, to_heading
-        return outcomes
-
-    def _update(self, instant_s: float, sonar: int, turret_offset_rad: float, reading_in: float) -> Outcome:
+    def update_at(self, instant_s: float, sonar: int, turret_offset_rad: float, reading_in: float) -> Outcome:
+        """Call the filter's `update`."""
         # 1. Limits are no ranges.
         if not self._lowest_in < reading_in < self._highest_in:
             return LIMIT, 0.0, 0.0, 0.0, 1.0, 0.0

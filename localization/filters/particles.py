@@ -10,13 +10,15 @@ model. Parameters have the names that users of other localizers know.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters.base import Filter
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
@@ -24,7 +26,6 @@ from localization.filters.sonar_cone import ConeSonar, echo_probabilities, refle
 from localization.filters.sonar_ray import (
     RangeNoise,
     RaySonar,
-    RingBody,
     constant_variance,
     range_variance,
     ranges_along,
@@ -40,6 +41,7 @@ from localization.filters.update import (
     mount_at,
     result_of,
 )
+from worlds.robots import Body
 
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
 # likelihood narrower than the distance between particles would leave a single one.
@@ -62,68 +64,55 @@ class Likelihoods(NamedTuple):
     variance_in2: Floats
 
 
-class Likelihood(Protocol):
-    """Likelihood of readings of one type of sonar, on a map."""
+class Likelihood(ABC):
+    """Likelihood of readings of one type of sonar, on a map.
+
+    Parameters
+    ----------
+    widen_std_in
+        Standard deviation added to the sonar's.
+    """
+
+    def __init__(self, body: Body, noise: RangeNoise, widen_std_in: float) -> None:
+        self._mounts, self._noise, self._widen_in2 = body.ring.mounts, noise, widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
         """Return True if a reading is a range, not a limit."""
-        ...
+        return self._noise.lowest_in < reading_in < self._noise.highest_in
 
     def information(self, reading_in: float, count: int) -> float:
-        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's."""
-        ...
+        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's.
 
+        The widening counts as an error that stays.
+        """
+        variance, constant = range_variance(self._noise, reading_in), constant_variance(self._noise, reading_in)
+        return information_fraction(variance + self._widen_in2, constant + self._widen_in2, count)
+
+    @abstractmethod
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
-        ...
-
-
-def _is_range(noise: RangeNoise, reading_in: float) -> bool:
-    return noise.lowest_in < reading_in < noise.highest_in
-
-
-def _information(noise: RangeNoise, widened_in2: float, reading_in: float, count: int) -> float:
-    """Return the new information; the widening counts as an error that stays."""
-    variance, constant = range_variance(noise, reading_in), constant_variance(noise, reading_in)
-    return information_fraction(variance + widened_in2, constant + widened_in2, count)
 
 
 def _density(residual: Floats, variance: Floats) -> Floats:
     """Return the normal density of a residual."""
-    density: Floats = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    return density
+    return np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
 
 
-class RayLikelihood:
+class RayLikelihood(Likelihood):
     """Beam model z_hit N(z; range, variance) + z_rand / span, along exact rays.
 
     Parameters
     ----------
     outlier_probability
         z_rand: fraction of readings spread over all ranges.
-    widen_std_in
-        Standard deviation added to the sonar's.
     """
 
     def __init__(
-        self,
-        walls: npt.ArrayLike,
-        body: RingBody,
-        sonar: RaySonar,
-        *,
-        outlier_probability: float = 0.05,
+        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
         widen_std_in: float = 0.5,
-    ) -> None:
-        self._walls, self._mounts, self._sonar = wall_map(walls), body.ring.mounts, sonar
-        self._outlier_probability, self._widen_in2 = outlier_probability, widen_std_in**2
-
-    def is_range(self, reading_in: float) -> bool:
-        """Return True if a reading is a range, not a limit."""
-        return _is_range(self._sonar, reading_in)
-
-    def information(self, reading_in: float, count: int) -> float:
-        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's."""
-        return _information(self._sonar, self._widen_in2, reading_in, count)
+    ) -> None:  # fmt: skip
+        super().__init__(body, sonar, widen_std_in)
+        self._walls, self._sonar, self._outlier_probability = wall_map(walls), sonar, outlier_probability
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
@@ -139,36 +128,22 @@ class RayLikelihood:
         return Likelihoods(total, outlier, np.where(has_wall, range_in, np.nan), variance)
 
 
-class ConeLikelihood:
+class ConeLikelihood(Likelihood):
     """The same over all reflectors in the cone.
 
     Parameters
     ----------
     heading_std_rad
         Blur of the edge of the cone.
-    widen_std_in
-        Standard deviation added to the sonar's.
     """
 
     def __init__(
-        self,
-        walls: npt.ArrayLike,
-        body: RingBody,
-        sonar: ConeSonar,
-        *,
-        heading_std_rad: float = 0.03,
+        self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
         widen_std_in: float = 0.5,
-    ) -> None:
-        self._around, self._mounts, self._sonar = reflectors(wall_map(walls).segments), body.ring.mounts, sonar
-        self._heading_std, self._widen_in2 = np.array(heading_std_rad), widen_std_in**2
-
-    def is_range(self, reading_in: float) -> bool:
-        """Return True if a reading is a range, not a limit."""
-        return _is_range(self._sonar, reading_in)
-
-    def information(self, reading_in: float, count: int) -> float:
-        """Return the new information of the `count`-th reading from one pose, as a fraction of the first's."""
-        return _information(self._sonar, self._widen_in2, reading_in, count)
+    ) -> None:  # fmt: skip
+        super().__init__(body, sonar, widen_std_in)
+        self._around, self._sonar = reflectors(wall_map(walls).segments), sonar
+        self._heading_std = np.array(heading_std_rad)
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
@@ -212,7 +187,7 @@ class MonteCarlo:
     resample_threshold: float = 0.5
 
 
-class ParticleFilter:
+class ParticleFilter(Filter):
     """Particle filter over poses, or states with odometry parameters.
 
     Parameters
@@ -229,15 +204,10 @@ class ParticleFilter:
     """
 
     def __init__(
-        self,
-        states: Floats,
-        likelihood: Likelihood,
-        odometry: OdometryNoise,
-        rng: np.random.Generator,
-        parameters: MonteCarlo | None = None,
-        range_stds: Sequence[float] = (),
+        self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
+        parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
         middle_in: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
         """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
         self._middle_in = np.array(middle_in)

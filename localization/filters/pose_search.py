@@ -10,7 +10,6 @@ None of it is part of an update of the robot's filter: a `PoseSearch` does it, i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import inf, log
@@ -20,13 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters import compiled
+from localization.filters.base import Place
 from localization.filters.belief import HEADING, POSE, Belief, Floats, add, difference, independent, pack, unpack
 from localization.filters.filter_loop import StateInput, filter_config, filter_ring, new_memory
 from localization.filters.health import HealthLimits
-from localization.filters.odometry import OdometryNoise, predict_state, step_between, with_parameters
+from localization.filters.odometry import OdometryNoise, step_between, with_parameters
 from localization.filters.range_table import CODES, DIRECTIONS, OUTLIER_PROBABILITY, RangeTable, decoded
 from localization.filters.sonar_ray import NOMAD
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome
+from localization.filters.update import MeasurementUpdate, Outcome
 
 LOWEST_IN, NOTHING_IN, RANGE_SPAN_IN = NOMAD.min_range_in, NOMAD.max_range_in, NOMAD.range_span_in
 """Limits: "so near or nearer", which says little, and "nothing", which contradicts an expected echo."""
@@ -81,14 +81,6 @@ class EchoRecord(NamedTuple):
     reading_in: float
 
 
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """A pose at which the robot may be, as a belief at the last record, and its probability."""
-
-    belief: Belief
-    probability: float
-
-
 class Prior(NamedTuple):
     """A belief over the pose (3,) when the encoders stood at `encoders` (3,)."""
 
@@ -113,16 +105,19 @@ class Alternatives(NamedTuple):
 
 
 class EchoReplay:
-    """Filter beliefs along records, by the loop of the extended Kalman filter where the sonar model has one."""
+    """Filter beliefs along records, by the loop of the extended Kalman filter.
+
+    The measurement is by a model with an update of its own.
+    """
 
     def __init__(self, measurement: MeasurementUpdate, odometry: OdometryNoise) -> None:
-        self._measurement, self.odometry = measurement, odometry
+        assert measurement.direct is not None
+        self._direct, self.odometry = measurement.direct, odometry
 
     @cached_property
     def _compiled(self) -> compiled.CompiledFilter | None:
         """The compiled loop, where that is wanted."""
-        direct = self._measurement.direct
-        return compiled.filter_of(filter_config(self.odometry, direct, HealthLimits())) if direct else None
+        return compiled.filter_of(filter_config(self.odometry, self._direct, HealthLimits()))
 
     def load(self) -> None:
         """Load compiled code now, which takes longer than an update may."""
@@ -140,10 +135,8 @@ class EchoReplay:
         self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
     ) -> list[Outcome]:
         """Filter x, P along records in place, and return the outcome of each."""
-        if not self._measurement.direct:
-            return self._one_by_one(x, P, before, records)
-        # 1. The number of a record is its instant, so a ring's poses are looked up and not interpolated.
-        direct, outcomes = self._measurement.direct, list[Outcome]()
+        # The number of a record is its instant, so a ring's poses are looked up and not interpolated.
+        direct, outcomes = self._direct, list[Outcome]()
         memory = new_memory(x, P, as_array=self._compiled is not None)
         at = (-1.0, *before.tolist(), 0.0)
         for first in range(0, len(records), LAST_RECORDS):
@@ -163,35 +156,14 @@ class EchoReplay:
             at = poses[-1]
         return outcomes
 
-    def _one_by_one(
-        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
-    ) -> list[Outcome]:
-        correlated, outcomes = CorrelatedReadings(), list[Outcome]()
-        for record in records:
-            distance_in, turn_rad = step_between(before, record.encoders).tolist()
-            predict_state(x, P, distance_in, turn_rad, self.odometry)
-            correlated.move(distance_in, turn_rad)
-            count = correlated.count(record.sonar, record.turret_offset_rad) + 1
-            outcome = self._measurement.apply(
-                x, P, record.sonar, record.turret_offset_rad, record.reading_in, count
-            )
-            correlated.record(record.sonar, record.turret_offset_rad)
-            outcomes.append(outcome)
-            before = record.encoders
-        return outcomes
-
 
 # 1. All poses.
 
 
 def search(
-    records: Sequence[EchoRecord],
-    table: RangeTable,
-    replay: EchoReplay,
-    parameter_stds: tuple[float, ...] = (),
-    others: Sequence[Hypothesis] = (),
-    prior: Prior | None = None,
-) -> list[Hypothesis]:
+    records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
+    others: Sequence[Place] = (), prior: Prior | None = None,
+) -> list[Place]:  # fmt: skip
     """Return all poses that explain the records, the most probable first; none without records or floor.
 
     A symmetric map gives as many hypotheses as it has places that look alike.
@@ -233,8 +205,8 @@ def search(
 
 
 def advanced(
-    hypotheses: Sequence[Hypothesis], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
-) -> list[Hypothesis]:
+    hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
+) -> list[Place]:
     """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
     replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
     return merged(
@@ -245,7 +217,7 @@ def advanced(
     )
 
 
-def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
+def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Place]:
     """Return hypotheses from beliefs with their log likelihoods: one for each pose, without the improbable."""
     # Greedy: a hypothesis absorbs all that are the same pose and less probable.
     ranked = sorted(weighted, key=lambda pair: -pair[1])
@@ -258,7 +230,7 @@ def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:
         if not any(_is_same(belief, other) for other, _ in chosen):
             chosen.append((belief, weight))
     total = sum(weight for _, weight in chosen)
-    return [Hypothesis(belief, weight / total) for belief, weight in chosen]
+    return [Place(belief, weight / total) for belief, weight in chosen]
 
 
 def moved(belief: Belief, last: Floats, then: Floats) -> Belief:
@@ -530,7 +502,7 @@ class SearchRequest(NamedTuple):
     """
 
     records: list[EchoRecord]
-    hypotheses: list[Hypothesis] = []  # noqa: RUF012
+    hypotheses: list[Place] = []  # noqa: RUF012
     before: Floats | None = None
     since: list[EchoRecord] = []  # noqa: RUF012
     searches: bool = True
@@ -545,7 +517,7 @@ class SearchResult(NamedTuple):
     `turn_rad` is the turn from the heading of the robot towards where the hypotheses differ soonest.
     """
 
-    hypotheses: list[Hypothesis]
+    hypotheses: list[Place]
     alternatives: Alternatives | None = None
     turn_rad: float | None = None
 
@@ -560,15 +532,12 @@ class PoseSearch(Protocol):
     @property
     def progress(self) -> str:
         """Reason why a search still waits, in words; "" if it does not."""
-        ...
 
     def density(self, reading_in: float) -> float:
         """Return the probability density of a reading from an unknown pose."""
-        ...
 
     def start(self, request: SearchRequest) -> PendingSearch:
         """Begin a search."""
-        ...
 
 
 class TableSearch:
@@ -580,12 +549,9 @@ class TableSearch:
     progress = ""
 
     def __init__(
-        self,
-        table: Callable[[], RangeTable],
-        measurement: MeasurementUpdate,
-        odometry: OdometryNoise,
+        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
         store: Callable[[RangeTable], None] = lambda _: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._build, self._replay, self._store = table, EchoReplay(measurement, odometry), store
 
     @cached_property
@@ -632,7 +598,7 @@ BEYOND_IN: Final = 1000.0
 """Where no expected reading separates the hypotheses, something that does is as far away as this on average."""
 
 
-def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> float | None:
+def informative_turn(hypotheses: Sequence[Place], table: RangeTable) -> float | None:
     """Return the turn (rad) to the straight drive on which readings are expected to separate the hypotheses soonest.
 
     The value of a drive is the information on the hypotheses that its readings are expected to bring, over its length.
@@ -657,7 +623,7 @@ def informative_turn(hypotheses: Sequence[Hypothesis], table: RangeTable) -> flo
         heading = poses[:, HEADING] + turn
         x = poses[:, 0] + along[:, None] * np.cos(heading)
         y = poses[:, 1] + along[:, None] * np.sin(heading)
-        free = np.logical_and.accumulate(table.is_floor(x.ravel(), y.ravel()).reshape(x.shape))
+        free = np.logical_and.accumulate(table.places_at(x.ravel(), y.ravel()).reshape(x.shape) >= 0)
         steps = int(np.count_nonzero(free[:, 0] & (free @ weights >= 0.5)))
         if not steps:
             continue
@@ -685,8 +651,7 @@ def _information(weights: Floats, distances: Floats) -> Floats:
     ----------
     Kolchinsky and Tracey, Estimating mixture entropy with pairwise distances (2017), equation 9.
     """
-    nats: Floats = -np.log(np.exp(-distances) @ weights) @ weights
-    return nats
+    return -np.log(np.exp(-distances) @ weights) @ weights
 
 
 def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -> Floats:
@@ -710,5 +675,4 @@ def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -
         overlap = np.sqrt(one * other) * np.exp(-np.square(apart) / 8.0) + np.sqrt((1.0 - one) * (1.0 - other))
         closest = np.minimum(closest, -np.log(overlap))
     distances: Floats = EVIDENCE_SHARE * closest.sum(axis=-1)
-    least: Floats = np.minimum(distances, np.swapaxes(distances, -1, -2))
-    return least
+    return np.minimum(distances, np.swapaxes(distances, -1, -2))

@@ -146,10 +146,6 @@ class RangeTable:
         found: npt.NDArray[np.int32] = self.number[np.where(inside, row, 0), np.where(inside, column, 0)]
         return np.where(inside, found, np.int32(-1))
 
-    def is_floor(self, x_in: Floats, y_in: Floats) -> npt.NDArray[np.bool_]:
-        """Return True for each point (n,) where the robot fits."""
-        return self.places_at(x_in, y_in) >= 0
-
     def beside(self, places: npt.NDArray[np.intp], x_in: Floats, y_in: Floats) -> npt.NDArray[np.intp]:
         """Return the places (n,) so far beside places (n,), displacements (n,) or (); no place is the last number."""
         columns = np.rint(np.asarray(x_in) / self.cell_in).astype(np.intp)
@@ -267,12 +263,9 @@ def sampled_echoes(
 
 
 def build_range_table(
-    walls: npt.ArrayLike,
-    body: SonarRing,
-    sonar: RaySonar | ConeSonar,
-    clearance_in: float,
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float,
     progress: Callable[[float], None] = lambda _: None,
-) -> RangeTable:
+) -> RangeTable:  # fmt: skip
     """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall.
 
     On a large map the coarse places are computed. `progress` is called with the fraction that is done.
@@ -297,13 +290,9 @@ def build_range_table(
 
 
 def expectation(
-    origin_in: Floats,
-    cell_in: float,
-    number: npt.NDArray[np.int32],
-    walls: npt.ArrayLike,
-    body: SonarRing,
+    origin_in: Floats, cell_in: float, number: npt.NDArray[np.int32], walls: npt.ArrayLike, body: SonarRing,
     sonar: RaySonar | ConeSonar,
-) -> Expect:
+) -> Expect:  # fmt: skip
     """Return what computes the echoes at places of a grid: block by block of neighbouring cells."""
     segments = wall_map(walls).segments
     around = reflectors(segments)
@@ -378,8 +367,7 @@ def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> 
         beside = (front[:, None] + np.array((-width, -1, 1, width))).ravel()
         front = np.unique(beside[left[beside]])
         left[front] = False
-    reached: npt.NDArray[np.bool_] = (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
-    return reached
+    return (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
 
 
 def _fits(

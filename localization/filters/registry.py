@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters import ukf
+from localization.filters import particles, ukf
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import POSE, Belief, Floats
 from localization.filters.calibration import CalibratingFilter
@@ -19,38 +19,18 @@ from localization.filters.global_localization import GlobalLocalizer
 from localization.filters.health import BUILDING, HealthLimits
 from localization.filters.odometry import MAX_STATE, Prediction, predict_state, with_parameters
 from localization.filters.own import SEPARATOR, make_own
-from localization.filters.particles import (
-    ConeLikelihood,
-    Likelihood,
-    MonteCarlo,
-    ParticleFilter,
-    RayLikelihood,
-    draw_particles,
-)
 from localization.filters.pose_search import PoseSearch, TableSearch
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
 from localization.filters.sonar_cone import ConeModel, ConeSonar
-from localization.filters.sonar_ray import STRICT, Gate, RaySonar, RingBody, wall_map
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, wall_map
 from localization.filters.surface import SurfaceModel, SurfaceUpdate
 from localization.filters.update import MeasurementUpdate, Rule, iterated, linear
 from nclient.errors import suggest
+from worlds.robots import Body
 
 Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from a configuration, the belief at the first state, and a seed for methods that draw samples."""
-
-
-# One factory per method; they differ in the rule of the update, the prediction or the form of the belief.
-def _extended(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief)
-
-
-def _iterated(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief, iterated)
-
-
-def _unscented(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return _kalman(config, belief, ukf.unscented, ukf.predict_state)
 
 
 def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
@@ -63,10 +43,12 @@ def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
-    parameters = MonteCarlo()
-    states = draw_particles(belief, parameters.particles, rng)
-    return ParticleFilter(
-        states, likelihood_of(config), config.odometry, rng, parameters, config.range_stds or (), _middle(config)
+    parameters = particles.MonteCarlo()
+    states = particles.draw_particles(belief, parameters.particles, rng)
+    kind: Any = particles.ConeLikelihood if isinstance(config.sonar, ConeSonar) else particles.RayLikelihood
+    likelihood = kind(config.walls, config.body, config.sonar)
+    return particles.ParticleFilter(
+        states, likelihood, config.odometry, rng, parameters, config.range_stds or (), _middle(config)
     )
 
 
@@ -75,24 +57,20 @@ def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return CalibratingFilter(config, with_parameters(belief, (0.0,) * (MAX_STATE - len(belief.mean))))
 
 
-def _finder(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
-    return finder(config, belief)
-
-
 FINDER: Final = "finder"
 """The method that can begin without a belief."""
 METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
     {
-        "ekf": _extended,
-        "iekf": _iterated,
-        "ukf": _unscented,
+        "ekf": lambda config, belief, _: _kalman(config, belief),
+        "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
+        "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
         "smoother": _smoother,
         "mcl": _particles,
-        FINDER: _finder,
+        FINDER: lambda config, belief, _: finder(config, belief),
         "offsets": _offsets,
     }
 )
-"""Every method by its name."""
+"""Every method by its name; they differ in the rule of the update, the prediction or the form of the belief."""
 DEFAULT_METHOD: Final = "ekf"
 
 
@@ -138,12 +116,9 @@ def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0)
 
 
 def finder(
-    config: LocalizationConfig,
-    belief: Belief | None,
-    parameter_stds: tuple[float, ...] = (),
-    poses: PoseSearch | None = None,
-    alike: Sequence[Floats] = (),
-) -> GlobalLocalizer:
+    config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (),
+    poses: PoseSearch | None = None, alike: Sequence[Floats] = (),
+) -> GlobalLocalizer:  # fmt: skip
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
@@ -204,19 +179,8 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
 
 
 def update_for(
-    walls: npt.ArrayLike,
-    body: RingBody,
-    sonar: RaySonar | ConeSonar,
-    gate: Gate = STRICT,
-    rule: Rule = linear,
+    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, rule: Rule = linear,
     range_parameters: int = 0,
-) -> MeasurementUpdate:
+) -> MeasurementUpdate:  # fmt: skip
     """Return the measurement update for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     return MeasurementUpdate(measurement_model(walls, body, sonar, gate, range_parameters), rule)
-
-
-def likelihood_of(config: LocalizationConfig) -> Likelihood:
-    """Return the likelihood of particles for sonars of this type."""
-    if isinstance(config.sonar, ConeSonar):
-        return ConeLikelihood(config.walls, config.body, config.sonar)
-    return RayLikelihood(config.walls, config.body, config.sonar)

@@ -33,7 +33,6 @@ from localization.filters.sonar_ray import (
     NOMAD,
     WIRE_SONAR,
     RangeNoise,
-    RingBody,
     constant_variance,
     nearest,
     range_variance,
@@ -47,6 +46,7 @@ from localization.filters.update import (
     REFUSALS,
     Association,
     Covariance,
+    DirectModel,
     Outcome,
     Refusal,
     State,
@@ -58,6 +58,7 @@ from localization.filters.update import (
 from worlds.raycast import sort_by_range
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
+from worlds.robots import Body
 
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -114,15 +115,9 @@ class Reflectors:
     def some(self, walls: Mask, vertices: Mask) -> Reflectors:
         """Return those alone that are selected, (m,) and (v,)."""
         return Reflectors(
-            self.walls[walls],
-            self.corners[walls],
-            self.along[walls],
-            self.normals[walls],
-            self.lengths[walls],
-            self.vertices[vertices],
-            self.square[vertices],
-            self.free[vertices],
-        )
+            self.walls[walls], self.corners[walls], self.along[walls], self.normals[walls], self.lengths[walls],
+            self.vertices[vertices], self.square[vertices], self.free[vertices],
+        )  # fmt: skip
 
 
 def reflectors(segments: npt.ArrayLike) -> Reflectors:
@@ -253,12 +248,9 @@ def building_sonar(ring: Ring) -> ConeSonar:
 def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
     rays = ray_sonar(ring)
     return replace(
-        sonar,
-        rounding_var_in2=rays.rounding_var_in2,
-        lowest_in=rays.lowest_in,
-        highest_in=rays.highest_in,
+        sonar, rounding_var_in2=rays.rounding_var_in2, lowest_in=rays.lowest_in, highest_in=rays.highest_in,
         cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
-    )
+    )  # fmt: skip
 
 
 def arm_of(mount: SonarMount, axis_x: Number, axis_y: Number) -> tuple[Number, Number]:
@@ -429,31 +421,18 @@ def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> A
     noise, parameters = model.noise, model.range_parameters
     expected = [expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
     return Association(
-        Refusal.NONE,
-        1.0,
-        [reading_in for reading_in, _ in expected],
-        [H for _, H in expected],
+        Refusal.NONE, 1.0, [reading_in for reading_in, _ in expected], [H for _, H in expected],
         [range_variance(noise, candidate.range_in) for candidate in candidates],
         [constant_variance(noise, candidate.range_in) for candidate in candidates],
-        [candidate.probability for candidate in candidates],
-        None,
-        noise.outlier_probability,
-        noise.outlier_density,
-        0.0,
-        parameters,
-        1.0,
-    )
+        [candidate.probability for candidate in candidates], None, noise.outlier_probability, noise.outlier_density,
+        0.0, parameters, 1.0,
+    )  # fmt: skip
 
 
 def update_by_cone(
-    x: State,
-    P: Covariance,
-    mount: SonarMount,
-    reading_in: float,
-    model: ConeModel,
-    count: int,
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int,
     outlier_fraction: float,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
     if refusal != NONE:
@@ -472,10 +451,12 @@ def rows_of(around: Reflectors, sonar: ConeSonar) -> tuple[Floats, Floats]:
     return faces, np.column_stack((around.vertices, losses))
 
 
-class ConeModel:
+class ConeModel(DirectModel):
     """Measurement model of sonars whose reading is the first echo out of a cone, or an outlier."""
 
-    def __init__(self, walls: npt.ArrayLike, body: RingBody, sonar: ConeSonar, range_parameters: int = 0) -> None:
+    noise: ConeSonar
+
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, range_parameters: int = 0) -> None:
         self.walls, self.noise = wall_map(walls), sonar
         self.mounts = body.ring.mounts
         around = reflectors(self.walls.segments)
@@ -537,13 +518,9 @@ class _Geometry(NamedTuple):
 
 
 def expected_echoes(
-    poses: Floats,
-    heading_std_rad: Floats,
-    mount: SonarMount,
-    around: Reflectors,
-    sonar: ConeSonar,
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
     walls_in: Floats | None = None,
-) -> ExpectedEchoes:
+) -> ExpectedEchoes:  # fmt: skip
     """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians.
 
     `walls_in` (m', 4) may block the path. Default: all walls of `around`.
@@ -558,13 +535,9 @@ def expected_echoes(
 
 
 def echo_probabilities(
-    poses: Floats,
-    heading_std_rad: Floats,
-    mount: SonarMount,
-    around: Reflectors,
-    sonar: ConeSonar,
+    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
     walls_in: Floats | None = None,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
 
     Only the j reflectors that are detected from at least one of the poses are included. `walls_in` (m', 4) may block

@@ -49,6 +49,7 @@ from localization.filters.update import (
     REFUSALS,
     Association,
     Covariance,
+    DirectModel,
     Outcome,
     Refusal,
     State,
@@ -64,7 +65,7 @@ from worlds.geometry import MAX_LOOP_WALLS
 from worlds.raycast import cast_ray, nearest_wall, sole_wall
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
-from worlds.robots import N150
+from worlds.robots import N150, Body
 
 Codes = npt.NDArray[np.int8]
 
@@ -112,8 +113,7 @@ class RangeNoise:
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""
         std = np.maximum(self.range_std_relative * ranges_in, self.range_std_floor_in)
-        variance: Floats = std * std + (self.rounding_var_in2 + self.place_var_in2)
-        return variance
+        return std * std + (self.rounding_var_in2 + self.place_var_in2)
 
 
 def range_variance(noise: RangeNoise, range_in: float) -> float:
@@ -156,11 +156,9 @@ PLACE_VAR_IN2: Final = 0.02
 def ray_sonar(ring: Ring) -> RaySonar:
     """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
     return RaySonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0,
-        place_var_in2=PLACE_VAR_IN2,
-        lowest_in=ring.min_range_in,
+        rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2, lowest_in=ring.min_range_in,
         highest_in=ring.max_range_in,
-    )
+    )  # fmt: skip
 
 
 WIRE_SONAR = ray_sonar(NOMAD)
@@ -201,21 +199,10 @@ class SonarRing(Protocol):
     @property
     def sonar_ring_radius_in(self) -> float:
         """Return the distance of the sonars from the centre."""
-        ...
 
     @property
     def sonar_angles_rad(self) -> tuple[float, ...]:
         """Return the direction of each sonar from that of the turret, counter-clockwise."""
-        ...
-
-
-class RingBody(SonarRing, Protocol):
-    """A body with a whole ring; `worlds.robots.Body` has it."""
-
-    @property
-    def ring(self) -> Ring:
-        """Return the sonars."""
-        ...
 
 
 # The map.
@@ -268,14 +255,9 @@ def row_from(x: Number, y: Number, direction: Number, left_in: float, walls: Wal
 
 
 def only_wall(
-    x: Sequence[float],
-    P: Sequence[Sequence[float]],
-    dx: float,
-    dy: float,
-    walls: WallMap,
-    gate: Gate,
+    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
     left_in: float = 0.0,
-) -> int:
+) -> int:  # fmt: skip
     """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
 
     These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
@@ -390,14 +372,9 @@ def sideways_shift(
 
 
 def predict_beam(
-    x: Sequence[Any],
-    P: Sequence[Sequence[Any]],
-    angle_rad: Any,
-    ring_radius_in: Any,
-    walls: WallMap,
-    gate: Gate,
+    x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap, gate: Gate,
     left_in: float = 0.0,
-) -> BeamPrediction:
+) -> BeamPrediction:  # fmt: skip
     """Return the expected reading of beams at `angle_rad` from the heading.
 
     Parameters
@@ -453,14 +430,9 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 
 
 def update_by_ray(
-    x: State,
-    P: Covariance,
-    mount: SonarMount,
-    reading_in: float,
-    model: RayModel,
-    count: int,
+    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
     _outlier_fraction: float = 1.0,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
     Parameters
@@ -499,11 +471,13 @@ def update_by_ray(
     return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in, slope
 
 
-class RayModel:
+class RayModel(DirectModel):
     """Measurement model of sonars whose readings are the range along one ray, or refused by the gate."""
 
+    noise: RaySonar
+
     def __init__(
-        self, walls: npt.ArrayLike, body: RingBody, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
+        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
     ) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
         self.mounts = body.ring.mounts
@@ -521,18 +495,11 @@ class RayModel:
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
         expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
         return Association(
-            Refusal.NONE,
-            1.0,
-            [expected_in],
-            [H],
-            [range_variance(self.noise, beam.range_in)],
-            [constant_variance(self.noise, beam.range_in)],
-            [1.0],
-            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)),
-            gate_outliers=RAY_OUTLIERS,
-            range_parameters=self.range_parameters,
-            range_span_in=self.noise.range_span_in,
-        )
+            Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
+            [constant_variance(self.noise, beam.range_in)], [1.0],
+            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
+            range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in,
+        )  # fmt: skip
 
 
 def _ranges_to_line(mount: SonarMount, line: Sequence[float], poses: Floats) -> tuple[Floats, Floats]:
@@ -601,14 +568,9 @@ def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPredic
 
 
 def observe_ring(
-    belief: Belief,
-    angles_rad: Floats,
-    readings_in: Floats,
-    body: SonarRing,
-    walls: WallMap,
-    sonar: RaySonar,
+    belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap, sonar: RaySonar,
     gate: Gate = STRICT,
-) -> Observation:
+) -> Observation:  # fmt: skip
     """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs over poses (..., 3)."""
     # 1. The expected readings; elements of the belief get a dimension for the beams.
     x, P = unpack(Belief(belief.mean[..., None, :], belief.cov[..., None, :, :]))

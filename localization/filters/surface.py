@@ -31,7 +31,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import HEADING, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, ConeSonar, detectable
+from localization.filters.sonar_cone import ConeModel, detectable
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import (
     NONE,
@@ -80,7 +80,7 @@ class SurfaceModel:
     """
 
     def __init__(self, cone: ConeModel) -> None:
-        self._cone, self._walls = cone, len(cone.faces)
+        self._cone, self._walls, self.noise = cone, len(cone.faces), cone.noise
         self._levels: dict[int, _Level] = {}
         """By the number of the reflector."""
         self._echoes = 0
@@ -88,16 +88,6 @@ class SurfaceModel:
         """Pose by odometry, from where the filter began."""
         self._hypotheses: list[tuple[int, bool]] = []
         """Of the last association: reflector of each hypothesis, True for a new level."""
-
-    @property
-    def noise(self) -> ConeSonar:
-        """Parameters of the sonars and of the surface."""
-        return self._cone.noise
-
-    @property
-    def level_stds(self) -> tuple[float, ...]:
-        """Prior standard deviations of the levels in the state, inches."""
-        return (self.noise.surface_std_in,) * LEVEL_STATES
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step: the distance and the turn that the odometry parameters make of the reported one."""
@@ -213,6 +203,15 @@ class SurfaceUpdate(MeasurementUpdate):
     def __init__(self, model: SurfaceModel) -> None:
         super().__init__(model)
         self._surface = model
+
+    @property
+    def level_stds(self) -> tuple[float, ...]:
+        """Prior standard deviations of the levels in the state, inches."""
+        return (self._surface.noise.surface_std_in,) * LEVEL_STATES
+
+    def move(self, distance_in: float, turn_rad: float) -> None:
+        """Take note of a step of the robot; see `SurfaceModel.move`."""
+        self._surface.move(distance_in, turn_rad)
 
     def apply(
         self,

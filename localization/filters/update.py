@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from math import exp, nan, pi, sqrt
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -180,7 +180,6 @@ class MeasurementModel(Protocol):
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return what sonar number `sonar` may have measured, the turret turned by so much against the heading."""
-        ...
 
 
 class ReadingLimits(Protocol):
@@ -189,51 +188,31 @@ class ReadingLimits(Protocol):
     @property
     def lowest_in(self) -> float:
         """Return the reading that means "so near or nearer"."""
-        ...
 
     @property
     def highest_in(self) -> float:
         """Return the reading that means "nothing"."""
-        ...
 
 
-@runtime_checkable
-class DirectModel(MeasurementModel, Protocol):
-    """A model with an update of its own by the linear rule."""
+class DirectModel(MeasurementModel):
+    """A model with an update of its own by the linear rule.
 
-    @property
-    def mounts(self) -> Sequence[SonarMount]:
-        """Return the sonars of the ring."""
-        ...
+    Attributes
+    ----------
+    mounts
+        The sonars of the ring.
+    noise
+        Noise of the readings, with their limits.
+    range_parameters
+        RANGE_PARAMETERS if states end with them, else 0.
+    update
+        A function of x, P, mount from the heading, reading, this model, count and outlier fraction.
+    """
 
-    @property
-    def noise(self) -> ReadingLimits:
-        """Return the noise of the readings, with their limits."""
-        ...
-
-    @property
-    def range_parameters(self) -> int:
-        """Return RANGE_PARAMETERS if states end with them, else 0."""
-        ...
-
-    @property
-    def update(self) -> Callable[..., Outcome]:
-        """Return a function of x, P, mount from the heading, reading, this model, count and outlier fraction."""
-        ...
-
-
-@runtime_checkable
-class OdometricModel(MeasurementModel, Protocol):
-    """A model that relates echoes to earlier ones, in buildings full of things that the map does not have."""
-
-    @property
-    def level_stds(self) -> tuple[float, ...]:
-        """Return the prior standard deviations of its own coordinates of the state, before the range parameters."""
-        ...
-
-    def move(self, distance_in: float, turn_rad: float) -> None:
-        """Take note of a step of the robot."""
-        ...
+    mounts: Sequence[SonarMount]
+    noise: ReadingLimits
+    range_parameters: int
+    update: Callable[..., Outcome]
 
 
 def mount_at(mounts: Sequence[Sequence[float]], sonar: int, turret_offset_rad: float) -> SonarMount:
@@ -490,14 +469,9 @@ def association_probabilities(
 
 
 def pda_update(
-    x: State,
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    rule: Rule = linear,
-    count: int = 1,
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1,
     outlier_fraction: float = 1.0,
-) -> PdaResult:
+) -> PdaResult:  # fmt: skip
     """Correct x and P by a reading that is of one of k reflectors or an outlier, in place.
 
     The result is the Gaussian with the mean and covariance of the mixture of all hypotheses. With one hypothesis and no
@@ -666,18 +640,19 @@ class MeasurementUpdate:
         self.model, self._rule = model, rule
         self.direct = model if isinstance(model, DirectModel) and rule is linear else None
         """The model, where it updates by the linear rule itself: in one function, which can be compiled."""
-        self.odometric = model if isinstance(model, OdometricModel) else None
+
+    @property
+    def level_stds(self) -> tuple[float, ...]:
+        """Prior standard deviations of the model's own coordinates of the state, before the range parameters."""
+        return ()
+
+    def move(self, distance_in: float, turn_rad: float) -> None:
+        """Take note of a step of the robot, for a model that relates echoes to earlier ones."""
 
     def apply(
-        self,
-        x: State,
-        P: Covariance,
-        sonar: int,
-        turret_offset_rad: float,
-        reading_in: float,
-        count: int = 1,
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
         outlier_fraction: float = 1.0,
-    ) -> UpdateResult:
+    ) -> UpdateResult:  # fmt: skip
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
         Parameters
@@ -711,14 +686,9 @@ class MeasurementUpdate:
 
 
 def update_by_association(
-    x: State,
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    rule: Rule,
-    count: int,
+    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
     outlier_fraction: float = 1.0,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Correct x and P by a reading and its hypotheses, in place."""
     c, s = unit_vector(x[HEADING])
     beta, likelihood, innovation_in, nis, best = pda_update(

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import comb
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -151,7 +151,8 @@ def resolve_sonar_model(option: str | None, simulated: bool, address: str | None
     has_rays = sonar_model_of_address(address)
     if has_rays is None:
         return SonarAssumption(simulated, guessed=True)
-    return SonarAssumption(has_rays, guessed=False, building=not has_rays and setup_of(address) == BUILDING_SETUP)
+    is_building = (setup_of(address) or {}).get("base") == BUILDING_SETUP
+    return SonarAssumption(has_rays, guessed=False, building=not has_rays and is_building)
 
 
 # The model, from the first readings.
@@ -223,28 +224,24 @@ def decide_by_readings(
     return sonars._replace(rays=fit >= MIN_RAY_FIT, evidence=f"{fit:.0%} of the first readings fit exact rays")
 
 
-def setup_of(address: str) -> str:
-    """Return the setup of a sim: address, of a setup file its base; "" if there is none."""
-    setup = split_address(address).options.get("setup", "")
-    if not setup.endswith(".toml"):
-        return setup
-    try:
-        return str(parse_toml(read_text(Path(setup)), setup).get("base", ""))
-    except WorldFileError:
-        return ""
-
-
-def sonar_model_of_address(address: str) -> bool | None:
-    """Return True if the setup of a sim: address has exact rays, False for cones, None if unknown."""
+def setup_of(address: str) -> dict[str, Any] | None:
+    """Return the values of the setup of a sim: address, of a named one its base; None if they are unknown."""
     there = split_address(address)
     if there.scheme != SIMULATION:
         return None
     setup = there.options.get("setup", "")
     if not setup.endswith(".toml"):
-        return setup not in RING_SETUPS
+        return {"base": setup}
     try:
-        values = parse_toml(read_text(Path(setup)), setup)
+        return parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
+        return None
+
+
+def sonar_model_of_address(address: str) -> bool | None:
+    """Return True if the setup of a sim: address has exact rays, False for cones, None if unknown."""
+    values = setup_of(address)
+    if values is None:
         return None
     sonar = values.get("sonar", {})
     model = sonar.get("model") if isinstance(sonar, dict) else None

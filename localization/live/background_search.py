@@ -17,15 +17,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from threading import Thread
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -81,27 +80,15 @@ class BackgroundSearch:
     """
 
     def __init__(
-        self,
-        config: LocalizationConfig,
-        *,
-        waits: bool,
-        report: Callable[[str], None] = lambda _: None,
+        self, config: LocalizationConfig, *, waits: bool, report: Callable[[str], None] = lambda _: None,
         folder: Path | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._config, self._waits, self._report, self._folder = config, waits, report, folder or cache_folder()
         self._densities = reading_densities(
             *sampled_echoes(config.walls, config.body, config.sonar, config.clearance_in, SAMPLED_PLACES)
         )
         self._pool: ProcessPoolExecutor | None = None
         self._done: Synchronized[float] | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the worker process, also in the middle of its work."""
@@ -197,15 +184,9 @@ def cached_search(
 
 @contextmanager
 def filter_on_robot(
-    method: str,
-    config: LocalizationConfig,
-    belief: Belief | None,
-    parameter_stds: tuple[float, ...] = (),
-    *,
-    waits: bool,
-    report: Callable[[str], None] = lambda _: None,
-    alike: Sequence[Floats] = (),
-) -> Iterator[str | Filter]:
+    method: str, config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (), *,
+    waits: bool, report: Callable[[str], None] = lambda _: None, alike: Sequence[Floats] = (),
+) -> Iterator[str | Filter]:  # fmt: skip
     """Provide a method for a Localizer: of `finder` the filter with a background search, of others the name.
 
     Without a belief the search begins at once. See BackgroundSearch for `waits` and `report`,
@@ -218,7 +199,7 @@ def filter_on_robot(
     if multiprocessing.current_process().daemon:
         yield finder(config, belief, parameter_stds, alike=alike)
         return
-    with BackgroundSearch(config, waits=waits, report=report) as poses:
+    with closing(BackgroundSearch(config, waits=waits, report=report)) as poses:
         if belief is None or is_wide(belief):
             poses.prepare()
         yield finder(config, belief, parameter_stds, poses, alike)

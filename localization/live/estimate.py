@@ -146,12 +146,9 @@ def map_signature(world: World, body: str) -> MapSignature:
 
 
 def resume_belief(
-    saved: SavedEstimate,
-    signature: MapSignature,
-    now: EncoderPose,
-    noise: OdometryNoise,
+    saved: SavedEstimate, signature: MapSignature, now: EncoderPose, noise: OdometryNoise,
     displacement_std: DisplacementStd | None = None,
-) -> Belief:
+) -> Belief:  # fmt: skip
     """Return the belief of a robot after a pause.
 
     Parameters

@@ -10,41 +10,22 @@ time from the robot's clock. Each echo counts once; limits are never ranges.
 from __future__ import annotations
 
 from collections import deque
-from functools import partial
 from math import sqrt
 from typing import Final
 
 import numpy as np
 
-from localization.filters.base import (
-    Disturbable,
-    EncoderRow,
-    Filter,
-    LocalizationConfig,
-    Searching,
-    Smoothing,
-    StateFilter,
-    advance_each,
-)
+from localization.filters.base import EncoderRow, Filter, LocalizationConfig
 from localization.filters.belief import Belief
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import REFUSALS
+from localization.live import sensor_input
 from localization.live.estimate import Echo, Estimate, Smoothed
-from localization.live.sensor_input import (
-    CLOCK_STEP_S,
-    EncoderPose,
-    FiringSchedule,
-    PoseHistory,
-    SensorInput,
-    SlipCorrection,
-    corrected,
-)
 from nclient.common.process import show_seconds
-from worlds.rings import Ring
 
 __all__ = ["LAG_STD_S", "Estimate", "Localizer", "Smoothed"]
 
-LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
+LAG_STD_S: Final = sensor_input.CLOCK_STEP_S / sqrt(6.0)
 """Standard deviation of the difference of two instants, each anywhere within one step of the clock."""
 
 
@@ -66,34 +47,19 @@ class Localizer:
     """
 
     def __init__(
-        self,
-        config: LocalizationConfig,
-        belief: Belief,
-        schedule: FiringSchedule,
-        method: str | Filter = DEFAULT_METHOD,
-        seed: int = 0,
-    ) -> None:
+        self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
+        method: str | Filter = DEFAULT_METHOD, seed: int = 0,
+    ) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
-        self._schedule, self._calibration, self._ring = schedule, config.calibration, config.body.ring
-        self._history, self._slip = PoseHistory(), SlipCorrection()
+        self._schedule, self._calibration, self.ring = schedule, config.calibration, config.body.ring
+        self._history, self._slip = sensor_input.PoseHistory(), sensor_input.SlipCorrection()
         self._encoders: EncoderRow | None = None
         """Encoders at the instant to which the filter has predicted."""
         self._last_echo_s = -np.inf
-        self._advance = (
-            self._filter.advance if isinstance(self._filter, StateFilter) else partial(advance_each, self._filter)
-        )
-        self._disturbable = self._filter if isinstance(self._filter, Disturbable) else None
-        self._searching = self._filter if isinstance(self._filter, Searching) else None
-        self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
-        self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
+        self._instants: deque[float] = deque(maxlen=1 + self._filter.lag)
 
-    @property
-    def ring(self) -> Ring:
-        """The sonars of the robot."""
-        return self._ring
-
-    def update(self, state: SensorInput) -> Estimate:
+    def update(self, state: sensor_input.SensorInput) -> Estimate:
         """Take one state into account and return the estimate. A state no later than the one before changes nothing.
 
         Raises
@@ -102,11 +68,12 @@ class Localizer:
             A state without a clock: nothing was received yet.
         """
         # 1. The state without the systematic errors of the sonars, into the history.
-        state = corrected(state, self._calibration, self._ring)
+        state = sensor_input.corrected(state, self._calibration, self.ring)
         if state.clock_s is None:
             raise ValueError("a state without a clock: poll the robot once (refresh) before localizing")
         x_in, y_in = self._slip.position_of(state)
-        now, history = EncoderPose(state.clock_s, x_in, y_in, state.steering_rad, state.turret_rad), self._history
+        now = sensor_input.EncoderPose(state.clock_s, x_in, y_in, state.steering_rad, state.turret_rad)
+        history = self._history
         if self._encoders is None:
             self._encoders = now
             self._last_echo_s = now.clock_s
@@ -115,10 +82,9 @@ class Localizer:
         elif now.clock_s > history.latest.clock_s:
             history.add(now, state.touching)
         is_uneven = history.is_uneven
-        if self._disturbable:
-            self._disturbable.detects_slips = not is_uneven
-            if self._slip.rolled_in:
-                self._disturbable.roll_on_spot(self._slip.rolled_in)
+        self._filter.detects_slips = not is_uneven
+        if self._slip.rolled_in:
+            self._filter.roll_on_spot(self._slip.rolled_in)
         # 2. Every new echo: predict to the pose of its instant, update. Then the estimate now: predicted from the last
         #    echo, widened by the uncertain instants.
         late_s, clock_std_s = (history.clock_late_s, history.clock_rms_s) if is_uneven else (0.0, LAG_STD_S)
@@ -128,11 +94,10 @@ class Localizer:
             for sonar, instant_s in self._schedule.readable(self._last_echo_s, latest.clock_s, late_s)
         ]
         poses = history.since(new[0][0] if new else latest.clock_s)
-        outcomes, self._encoders, belief = self._advance(self._encoders, poses, new, clock_std_s)
+        outcomes, self._encoders, belief = self._filter.advance(self._encoders, poses, new, clock_std_s)
         if new:
             self._last_echo_s = new[-1][0]
-        if self._smoothing:
-            self._instants.extend([instant_s for instant_s, _, _ in new])
+        self._instants.extend([instant_s for instant_s, _, _ in new])
         # 3. What else the filter reports.
         echoes = tuple(
             [
@@ -140,6 +105,8 @@ class Localizer:
                 for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
             ]
         )
-        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        places, turn = (self._searching.places, self._searching.informative_turn_rad) if self._searching else ((), None)
-        return Estimate(latest.clock_s, belief, echoes, self._filter.health, smoothed, places, turn)
+        past, filter_ = self._filter.smoothed(), self._filter
+        smoothed = Smoothed(self._instants[0], past) if past else None
+        return Estimate(
+            latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places, filter_.informative_turn_rad
+        )

@@ -27,7 +27,7 @@ from urllib.parse import urlsplit
 import msgspec
 import numpy as np
 
-from localization.filters.base import EncoderRow, Filter, NewEcho, Place, RingFilter, Searching, process_each
+from localization.filters.base import EncoderRow, Filter, NewEcho, Place
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
 from localization.filters.odometry import relative_step
@@ -194,9 +194,7 @@ class Run:
             "trust": last.estimate.health.status.value,
             "reason": last.estimate.health.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
-            "places": [
-                {"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in last.estimate.places
-            ],
+            "places": _places_as_json(last.estimate.places),
             "start": self.start or None,
             "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
@@ -269,6 +267,10 @@ def _format_places(places: Sequence[Place]) -> str:
     return ", ".join(f"({x:.1f}, {y:.1f}) in {math.degrees(turn):.0f} deg {share:.0%}" for x, y, turn, share in poses)
 
 
+def _places_as_json(places: Sequence[Place]) -> list[dict[str, Any]]:
+    return [{"pose": place.belief.mean[:3].tolist(), "share": place.probability} for place in places]
+
+
 class GroundTruth:
     """True poses of a simulated robot, at the times of estimates; `robot_id` is 1 for a real robot.
 
@@ -327,10 +329,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
         now = _encoders(row)
         new: list[NewEcho] = [(row.clock_s, sonar, row.sonars_in[sonar]) for sonar in sonars]
         poses = [before, now]
-        if isinstance(localizer, RingFilter):
-            outcomes = localizer.process(before, poses, new)
-        else:
-            outcomes = process_each(localizer, before, poses, new)
+        outcomes = localizer.process(before, poses, new)
         if not new:
             localizer.predict(*relative_step(*before[1:4], *now[1:4]))
         before = now
@@ -338,8 +337,7 @@ def localize_log(rows: Sequence[LogRow], echoes: Sequence[Sequence[int]], locali
             Echo(sonar, instant_s, reading, REFUSALS[code], innovation_in, nis, outlier)
             for (instant_s, sonar, reading), (code, innovation_in, nis, outlier, *_) in zip(new, outcomes, strict=True)
         )
-        places = localizer.places if isinstance(localizer, Searching) else ()
-        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=places)
+        estimate = Estimate(row.clock_s, localizer.belief, found, localizer.health, places=localizer.places)
         yield RunMoment(estimate, row.odometry, row.truth, 0, row.turret_rad)
 
 
@@ -378,10 +376,7 @@ def build_message(robot: int, moment: RunMoment, waypoints: Sequence[tuple[float
         ],
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
         "trust": estimate.health.status.value, "reason": estimate.health.reason,
-        "places": [
-            {"pose": place.belief.mean[:3].tolist(), "share": place.probability}
-            for place in estimate.places[:MAX_HYPOTHESES]
-        ],
+        "places": _places_as_json(estimate.places[:MAX_HYPOTHESES]),
     }  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import floor, inf, radians
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -41,48 +41,9 @@ from worlds.rings import Ring
 from worlds.robots import IDEAL_CALIBRATION, N150, Calibration
 
 
-class SensorInput(Protocol):
-    """The part of a robot's state that the filter uses; nclient's RobotState has it. Seconds, inches, radians."""
-
-    @property
-    def clock_s(self) -> float | None:
-        """Return the time of the robot's clock, None if it has none."""
-        ...
-
-    @property
-    def x_in(self) -> float:
-        """Return x of the encoders."""
-        ...
-
-    @property
-    def y_in(self) -> float:
-        """Return y of the encoders."""
-        ...
-
-    @property
-    def steering_rad(self) -> float:
-        """Return the steering angle of the encoders."""
-        ...
-
-    @property
-    def turret_rad(self) -> float:
-        """Return the turret angle of the encoders."""
-        ...
-
-    @property
-    def sonars_in(self) -> tuple[float, ...]:
-        """Return the last reading of each sonar."""
-        ...
-
-    @property
-    def touching(self) -> bool:
-        """Return True if a bumper is closed."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class SensorData:
-    """A `SensorInput` with values of its own."""
+    """The part of a robot's state that the filter uses, with values of its own. Seconds, inches, radians."""
 
     clock_s: float | None
     x_in: float
@@ -91,6 +52,10 @@ class SensorData:
     turret_rad: float
     sonars_in: tuple[float, ...]
     touching: bool = False
+
+
+SensorInput = RobotState | SensorData
+"""What the filter uses of a robot's state."""
 
 
 def with_readings(state: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:

@@ -83,6 +83,11 @@ MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_RUN_SPOTS: Final = 3
 """Spots without such a gap that make a part of a wall which blocks paths."""
+SIDED_ECHOES, SIDED = 4, 0.8
+"""A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
+at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is."""
+CORNER_IN, INNER_IN = 4.0, 6.0
+"""A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
 """Cost that a feature must save to be worth its unknowns: 4 or 6 echoes that nothing else explains."""
 
@@ -102,6 +107,7 @@ class MapEstimate:
     `extents` (w, 2) are the coordinates along the wall, whose direction is the normal turned left. `runs` (r, 3) are
     the parts of it without wide gaps, rows of wall, first and last coordinate: they alone block paths, since of a wrong
     line across a room only some spots are measured, and what is seen behind it would otherwise never be explained.
+    `sides` (w,) are 1 or -1 for walls measured only from where their normal points or from the other side, else 0.
     """
 
     problem: MapProblem
@@ -109,6 +115,7 @@ class MapEstimate:
     assignment: Assignment
     extents: Floats = field(default_factory=lambda: np.empty((0, 2)))
     runs: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    sides: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
@@ -118,7 +125,8 @@ class MapEstimate:
 
     def replace_by(self, other: MapEstimate) -> None:
         """Take over another estimate of the same problem."""
-        self.state, self.assignment, self.extents, self.runs = other.state, other.assignment, other.extents, other.runs
+        self.state, self.assignment = other.state, other.assignment
+        self.extents, self.runs, self.sides = other.extents, other.runs, other.sides
 
     def copy(self) -> MapEstimate:
         """Return an estimate that changes independently; arrays are replaced, never changed in place."""
@@ -230,11 +238,15 @@ class MapEstimate:
 
     def feet_of(self, wall: int, echoes: Indices) -> Floats:
         """Return the coordinates along a wall at which those of some echoes within ROBUST_LIMIT were reflected."""
+        return self._feet_and_sides(wall, echoes)[0]
+
+    def _feet_and_sides(self, wall: int, echoes: Indices) -> tuple[Floats, Floats]:
+        """Return coordinates along a wall at which echoes within ROBUST_LIMIT were reflected, and from which side."""
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
+        lines = self.state.walls[wall : wall + 1]
         ranges, _, feet, _ = _wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
         fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * self.problem.trajectory.std_in[echoes]
-        good: Floats = feet[fits, 0]
-        return good
+        return feet[fits, 0], sides_of(sensors.face[fits], lines)[:, 0]
 
     def _unambiguous_features(self) -> Indices:
         """Return the feature of each echo (e,), none where a wall that crosses the one assigned explains it as well.
@@ -255,17 +267,37 @@ class MapEstimate:
         if self.problem.has_fixed_map:
             return
         extents, runs = np.empty((len(self.state.walls), 2)), [np.empty((0, 3))]
+        sides, passed = np.zeros(len(extents)), self._passed_at()
         feature = self._unambiguous_features() if self.problem.rays else self.assignment.feature
         for wall in range(len(extents)):
-            feet = np.sort(self.feet_of(wall, np.flatnonzero(feature == wall)))
+            feet, signs = self._feet_and_sides(wall, np.flatnonzero(feature == wall))
+            feet = np.sort(feet)
+            if len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED:
+                sides[wall] = np.sign(signs.mean())
             if len(feet) > 3:
                 feet = np.clip(feet, *self._end_points(wall, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
-                runs.append(_runs(wall, feet[1:-1]))
+                runs.append(_runs(wall, feet[1:-1], passed[wall], self._radius_in))
             else:
                 extents[wall] = self.extents[wall]
                 runs.append(self.runs[self.runs[:, 0] == wall])
-        self.extents, self.runs = extents, np.concatenate(runs)
+        self.extents, self.runs, self.sides = extents, np.concatenate(runs), sides
+
+    @property
+    def _radius_in(self) -> float:
+        """Radius of the ring of sonars: the robot is at least as wide."""
+        return float(np.hypot(*self.problem.trajectory.mounts.T).max(initial=0.0))
+
+    def _passed_at(self) -> list[Floats]:
+        """Return where the path crosses the line of each wall: coordinates along it, of a list of walls."""
+        (x, y), walls = self.state.poses[:, :2].T, self.state.walls
+        c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
+        across, along = c * x + s * y - walls[:, 1:], c * y - s * x
+        crosses = across[:, :-1] * across[:, 1:] < 0.0
+        return [
+            row[:-1][crossed] + np.diff(row)[crossed] * off[:-1][crossed] / -np.diff(off)[crossed]
+            for off, row, crossed in zip(across, along, crosses, strict=True)
+        ]
 
     def _end_points(self, wall: int, low: float, high: float) -> tuple[float, float]:
         """Return where points on the line of a wall end it, near the ends that its echoes show.
@@ -295,14 +327,15 @@ class MapEstimate:
         self.extents = np.where(np.arange(len(self.extents))[:, None] == wall, extent, self.extents)
         self.runs = np.concatenate((self.runs[self.runs[:, 0] != wall], [(wall, *extent)]))
 
-    def add_wall(self, line: Floats, extent: Floats) -> None:
-        """Add a wall (2,) with its extent (2,)."""
+    def add_wall(self, line: Floats, extent: Floats, side: float = 0.0) -> None:
+        """Add a wall (2,) with its extent (2,), and the side from which it was measured if that is known."""
         walls = len(self.state.walls)
         feature = self.assignment.feature
         self.state = replace(self.state, walls=np.concatenate((self.state.walls, line[None])))
         self.assignment = replace(self.assignment, feature=feature + (feature >= walls))
         self.extents = np.concatenate((self.extents, extent[None]))
         self.runs = np.concatenate((self.runs, [(walls, *extent)]))
+        self.sides = np.append(self.sides, side)
 
     def add_point(self, point: Floats) -> None:
         """Add a point (2,)."""
@@ -317,6 +350,7 @@ class MapEstimate:
             levels = replace(levels, wall=levels.wall - (levels.wall > removed))
             self.state = replace(state, walls=np.delete(state.walls, removed, axis=0), levels=levels)
             self.extents = np.delete(self.extents, removed, axis=0)
+            self.sides = np.delete(self.sides, removed)
             runs = self.runs[self.runs[:, 0] != removed]
             self.runs = runs - np.stack((runs[:, 0] > removed, *np.zeros((2, len(runs)))), axis=-1)
         else:
@@ -326,9 +360,14 @@ class MapEstimate:
         self._measure_levels()
 
 
-def _runs(wall: int, feet: Floats) -> Floats:
-    """Return the parts (r, 3) of a wall between spots (sorted) without a wide gap: wall, first, last coordinate."""
-    parts = np.split(feet, np.flatnonzero(np.diff(feet) > MAX_GAP_IN) + 1)
+def _runs(wall: int, feet: Floats, passed: Floats, radius_in: float) -> Floats:
+    """Return the parts (r, 3) of a wall between spots (sorted) without a wide gap: wall, first, last coordinate.
+
+    Where the robot has passed it is open: a mistaken spot there is none.
+    """
+    feet = feet[(np.abs(feet[:, None] - passed) > radius_in).all(axis=1)]
+    is_passed = ((feet[:-1, None] < passed) & (passed < feet[1:, None])).any(axis=1)
+    parts = np.split(feet, np.flatnonzero((np.diff(feet) > MAX_GAP_IN) | is_passed) + 1)
     rows = [
         (wall, part[0], part[-1])
         for part in parts if len(part) >= MIN_RUN_SPOTS and part[-1] - part[0] > 2.0 * BLOCKED_IN
@@ -367,6 +406,12 @@ def is_blocked(starts: Floats, ends: Floats, segments: Floats, before_in: float 
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)
     before = starts + span * (np.maximum(length - before_in, 0.0) / length)[:, None]
     return np.asarray(crossings(starts, before, segments).any(axis=1), dtype=np.bool_)
+
+
+def sides_of(places: Floats, walls: Floats) -> Floats:
+    """Return the side (p, w) of each wall (w, 2) on which each place (p, 2) is: 1 where its normal points, else -1."""
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    return np.where(places @ normals.T > walls[:, 1], 1.0, -1.0)
 
 
 def _wall_geometry(
@@ -444,8 +489,14 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`."""
     if not estimate.state.features:
         return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)
-    # 1. What is behind a wall explains nothing.
+    # 1. What is behind a wall explains nothing, and a face is not measured from its back.
     residual, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes, sensors)
+    walls = estimate.state.walls
+    is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
+    residual[:, : len(walls)][is_back] = np.inf
+    points, faces = _inner_corners(estimate)
+    np.logical_or.at(hidden := np.zeros((len(estimate.state.points), len(echoes)), np.bool_), points, is_back.T[faces])
+    residual[:, len(walls) :][hidden.T] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
@@ -455,6 +506,26 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     is_explained = np.isfinite(left)
     cost = np.where(is_explained, robust_cost(np.where(is_explained, left, 0.0)), ROBUST_LIMIT**2)
     return np.where(is_explained, best, NO_FEATURE), cost
+
+
+def _inner_corners(estimate: MapEstimate) -> tuple[Indices, Indices]:
+    """Return points and faces (k,) of inner corners: of a face and of a wall that goes on in front of it.
+
+    The corner of the next room is behind the face, a hand's breadth from it.
+    """
+    state, extents = estimate.state, estimate.extents
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+    # 1. Points (v, w) on lines, not beyond the part that was seen.
+    along = state.points[:, 1:] * c - state.points[:, :1] * s
+    on_wall = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
+    on_wall &= (along > extents[:, 0] - CORNER_IN) & (along < extents[:, 1] + CORNER_IN)
+    # 2. How far the other wall goes on from there: to where the face's normal points, and away from it.
+    onward = np.stack((extents[:, 0] - along, extents[:, 1] - along), axis=-1)
+    slope = c[:, None] * -s + s[:, None] * c
+    reach = (onward[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
+    is_inner = (on_wall[:, :, None] & on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
+    points, faces = np.nonzero(is_inner & (estimate.sides != 0.0))
+    return points, faces
 
 
 def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:

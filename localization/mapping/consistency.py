@@ -48,6 +48,8 @@ RISK: Final = 0.001
 """Probability with which a sound drive fails the test of the whole, or one of those of all parts."""
 RETURN_RISK: Final = 0.01
 """The same of late against early, alone and together: of a wrong map often a single feature shows it, by little."""
+TINY: Final = 1e-9
+"""Information added, so that what nothing measures leaves no matrix singular."""
 MIN_FREEDOM: Final = 1.0
 """Parts with fewer degrees of freedom are not tested: nothing checks them."""
 MAX_CORRELATION: Final = 0.5
@@ -142,7 +144,9 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     """
     state = estimate.state
     linear = estimate.problem.linearize_echoes(state, estimate.assignment)
-    feature = estimate.assignment.feature[linear.echoes]
+    # Ranges that do not count cannot disagree.
+    counts = estimate.problem.trajectory.weight[linear.echoes] > 0.0
+    feature = np.where(counts, estimate.assignment.feature[linear.echoes], NO_FEATURE)
     groups = [np.flatnonzero(feature == number) for number in range(state.features)]
     late = {
         number: rows for number, group in enumerate(groups) if len(rows := _measured_again(group, linear.node[group]))
@@ -166,7 +170,8 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
 
 def _score(E: Floats, e: Floats, risk: float, factor: float) -> tuple[float, float, float]:
     """Return e' E^-1 e, its degrees of freedom, and the quantile of a variance that is larger by a factor."""
-    return float(e @ np.linalg.solve(E, e)), float(len(e)), chi_square_quantile(1.0 - risk, float(len(e))) * factor
+    score = float(e @ np.linalg.solve(E + TINY * np.eye(len(E)), e))
+    return score, float(len(e)), chi_square_quantile(1.0 - risk, float(len(e))) * factor
 
 
 def _measured_again(group: Indices, nodes: Indices) -> Indices:

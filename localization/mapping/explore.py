@@ -34,8 +34,8 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import Floats
-from localization.mapping.association import MapEstimate, segments_of
-from localization.mapping.live import LiveMapper, walls_and_posts
+from localization.mapping.association import MapEstimate
+from localization.mapping.live import PASSED_IN, LiveMapper, passed, walls_and_posts
 from localization.mapping.problem import sensors_at
 from localization.mapping.survey import REVERSE_RAD, Geofence, Point
 from localization.mapping.walls import (
@@ -64,8 +64,6 @@ SHORTENED: Final = 0.95
 """Of the range, so far the sector is free."""
 CLEAR_IN: Final = 7.0
 """Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
-PASSED_IN: Final = 1.5
-"""Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
 lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
@@ -347,7 +345,7 @@ class Explorer:
         self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate)
         ends = np.array([piece.ends.reshape(4) for piece in self._pieces]).reshape(-1, 4)
         positions = mapper.poses[:, :2]
-        walls = passed(np.concatenate((_measured_walls(mapper), ends)), positions, self._body_in - PASSED_IN)
+        walls = passed(np.concatenate((mapper.walls, ends)), positions, self._body_in - PASSED_IN)
         everything = np.concatenate((walls.reshape(-1, 2), positions, pose[None, :2]))
         low = everything.min(axis=0) - BORDER_IN
         shape = np.ceil((everything.max(axis=0) + BORDER_IN - low) / CELL_IN).astype(int)
@@ -676,47 +674,12 @@ class Explorer:
         return None
 
 
-def _measured_walls(mapper: LiveMapper | _Finished) -> Floats:
-    """Return the parts (n, 4) of walls without wide gaps, and points: a line beyond a door leaves the door open."""
-    estimate = mapper.estimate
-    if estimate is None:
-        return mapper.walls
-    has_runs = np.isin(np.arange(len(estimate.state.walls)), estimate.runs[:, 0])
-    whole = np.append(~has_runs, np.ones(len(estimate.state.points), dtype=np.bool_))
-    parts = segments_of(estimate.state.walls[estimate.runs[:, 0].astype(np.intp)], estimate.runs[:, 1:])
-    return np.concatenate((parts, mapper.walls[whole]))
-
-
 def _dense(path: Floats) -> Floats:
     """Return a path (p, 2) with points at most a cell apart."""
     count = int(np.hypot(*np.diff(path, axis=0).T).max(initial=0.0) / CELL_IN) + 1
     fraction = np.arange(count)[None, :, None] / count
     between = path[:-1, None] + fraction * np.diff(path, axis=0)[:, None]
     return np.concatenate((between.reshape(-1, 2), path[-1:]))
-
-
-def passed(walls: Floats, path: Floats, radius_in: float) -> Floats:
-    """Return the parts (n, 4) of walls (w, 4) that are not nearer than a radius to any point (p, 2) of a path."""
-    parts = []
-    for wall in walls:
-        length = max(float(np.hypot(*(wall[2:] - wall[:2]))), 1e-9)
-        along = (wall[2:] - wall[:2]) / length
-        off = path - wall[:2]
-        across = off[:, 0] * along[1] - off[:, 1] * along[0]
-        near = np.abs(across) < radius_in
-        middle, half = off[near] @ along, np.sqrt(radius_in**2 - across[near] ** 2)
-        begin = 0.0
-        for low, high in sorted(zip(middle - half, middle + half, strict=True)):
-            if high < begin:
-                continue
-            if low > length:
-                break
-            if low > begin:
-                parts.append((*(wall[:2] + begin * along), *(wall[:2] + low * along)))
-            begin = high
-        if begin < length:
-            parts.append((*(wall[:2] + begin * along), *wall[2:]))
-    return np.array(parts).reshape(-1, 4)
 
 
 def _samples(segment: Floats) -> Floats:

@@ -43,7 +43,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import OFF_CONE_RAD, MapEstimate, Mask, assign, is_blocked, segments_of
+from localization.mapping.association import OFF_CONE_RAD, MapEstimate, Mask, assign, is_blocked, segments_of, sides_of
 from localization.mapping.consistency import check_parts
 from localization.mapping.measurements import Indices, rotate
 from localization.mapping.problem import (
@@ -64,6 +64,8 @@ POINT_CELL_IN: Final = 2.0
 RAY_FAN: Final = np.arange(-6, 7) * 3.0 * ANGLE_CELL_RAD
 """Directions off a ray for which an echo votes: normals of walls."""
 MIN_VOTES: Final = 6
+FRONT: Final = -1.0
+"""Side of a new wall on which its sonars are: its normal points away from them."""
 MAX_CANDIDATES: Final = 6
 """Peaks tried at a time, of walls and of points each."""
 SUPPORT_IN: Final = 2.5
@@ -149,7 +151,7 @@ def find_births(estimate: MapEstimate, first_node: int) -> int:
             born += 1
             if found_wall:
                 feet = predict_wall(remaining.sensors, fit.feature[None], free.rays).foot[fit.supports]
-                estimate.add_wall(fit.feature, np.array((feet.min(), feet.max())))
+                estimate.add_wall(fit.feature, np.array((feet.min(), feet.max())), FRONT)
             else:
                 estimate.add_point(fit.feature)
         # 3. Echoes that the new walls explain vote for no points.
@@ -232,6 +234,9 @@ def _fit(free: FreeEchoes, feature: Floats, is_wall: bool) -> Fit:
     for step in range(FIT_STEPS + 1):
         predicted = _predict(free, feature, is_wall)
         in_cone = free.is_in_cone(predicted.bearing)
+        if is_wall:
+            # From the other side the other face of the wall is measured. Normals point away from the sonars that voted.
+            in_cone &= sides_of(sensors.face, feature[None])[:, 0] == FRONT
         residual = sensors.range_in - predicted.range_in
         # The first steps take echoes farther off, since a peak is as coarse as its cell.
         within = SUPPORT_IN if step < 2 else SUPPORT_SIGMAS * free.std_in + 0.3
@@ -486,6 +491,9 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
             reached = segments[new] @ along
             extents[old] = min(extents[old, 0], reached.min()), max(extents[old, 1], reached.max())
     trial.state = replace(state, poses=poses, walls=lines, points=points, levels=levels)
+    # A wall may have been measured from one side before and from the other now.
+    old_walls = motion.pairs[motion.pairs[:, 0] < walls, 0]
+    trial.sides = np.where(np.isin(np.arange(walls), old_walls), 0.0, trial.sides)
     trial.extents, trial.runs = extents, runs
     trial.assignment = replace(trial.assignment, feature=feature)
     for new in sorted(motion.pairs[:, 1].tolist(), reverse=True):
@@ -562,7 +570,7 @@ def _without(estimate: MapEstimate, remaining: Mask) -> MapEstimate:
     levels = replace(levels, wall=numbers[levels.wall])
     found.state = replace(state, walls=state.walls[remaining], points=state.points[:0], levels=levels)
     found.assignment = Assignment(feature)
-    found.extents = estimate.extents[remaining]
+    found.extents, found.sides = estimate.extents[remaining], estimate.sides[remaining]
     rows = estimate.runs[:, 0].astype(np.intp)
     runs = estimate.runs[remaining[rows]]
     found.runs = np.column_stack((numbers[rows[remaining[rows]]], runs[:, 1:]))

@@ -13,6 +13,7 @@ cost, with a penalty for each feature, falls:
     prune    a feature without which the echoes cost less than PENALTY more is removed
     merge    two nearly equal walls become one where the total cost falls
     split    a line with a wide gap becomes two walls, or the longest part of it, where the total cost falls
+    part     a point that looks different from two sides becomes two, where the total cost falls
     swallow  a short wall becomes a point where the total cost falls
     join     two points become the ends of a wall where the total cost falls
     absorb   a point on a wall becomes part of it where the total cost falls
@@ -97,8 +98,15 @@ MERGE_GAP_IN: Final = 40.0
 """Of walls on one line, the widest gap between them: more than a door."""
 SWALLOW_IN: Final = 40.0
 """Walls seen over a shorter length may be a corner."""
+DIVIDERS_RAD: Final = np.linspace(0.0, np.pi, 12, endpoint=False)
+"""Normals of the lines that are tried."""
+MIN_PART_ECHOES: Final = 5
+MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
+"""Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
 HIDDEN_FRACTION: Final = 0.5
 """Of a wall's echoes; the false ones in the corner of a wedge had 0.9."""
+MIN_DETERMINED: Final = 2
+"""Ranges and ties that determine the two unknowns of a feature."""
 MIN_JOIN_ECHOES: Final = 4
 """Echoes that must support a wall between two points, unless no sound passes where it should."""
 JOINED_PENALTY: Final = 15.0
@@ -185,6 +193,8 @@ class MapLearner:
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
+        if drop_unmeasured(self.estimate):
+            tie_points(self.estimate)
 
 
 def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:
@@ -203,7 +213,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (join_points, merge, split, swallow, absorb_points, prune):
+    for change in (part_points, join_points, merge, split, swallow, absorb_points, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -325,7 +335,7 @@ def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: boo
     numbers[order[0]] = wall
     for part in order[1:] if not only_longest else ():
         numbers[part] = len(trial.state.walls)
-        trial.add_wall(line, runs[part])
+        trial.add_wall(line, runs[part], float(trial.sides[wall]))
     feature = trial.assignment.feature.copy()
     feature[echoes] = numbers[nearest]
     trial.assignment = replace(trial.assignment, feature=feature)
@@ -335,6 +345,43 @@ def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: boo
         trial.associate()
         trial.optimize(3)
     return trial
+
+
+def part_points(estimate: MapEstimate) -> int:
+    """Replace points that are nearer from one side than from the other by two where the total cost falls.
+
+    The corners of two rooms on either side of a wall are a hand's breadth apart, and so are the edges of a door. They
+    are told apart by the sides of a line through the point, the one that divides the residuals best.
+    """
+    parted, walls = 0, len(estimate.state.walls)
+    for number in range(len(estimate.state.points)):
+        echoes = estimate.echoes_of(walls + number)
+        residual, sensors, _ = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        z = residual[:, walls + number]
+        z = np.clip(np.where(np.isfinite(z), z, 0.0), -ROBUST_LIMIT, ROBUST_LIMIT)
+        off = sensors.face - estimate.state.points[number]
+        is_left = off @ np.stack((np.cos(DIVIDERS_RAD), np.sin(DIVIDERS_RAD))) > 0.0
+        left = is_left.sum(axis=0)
+        right = len(z) - left
+        # By how much the sum of squares falls if both sides have a mean of their own.
+        difference = z @ is_left / np.maximum(left, 1) - z @ ~is_left / np.maximum(right, 1)
+        gain = np.square(difference) * left * right / max(len(z), 1)
+        gain[np.minimum(left, right) < MIN_PART_ECHOES] = 0.0
+        if not len(z) or gain.max() < MIN_PART_GAIN:
+            continue
+        trial = estimate.copy()
+        trial.add_point(estimate.state.points[number])
+        feature = trial.assignment.feature.copy()
+        feature[echoes[is_left[:, gain.argmax()]]] = trial.state.features - 1
+        trial.assignment = replace(trial.assignment, feature=feature)
+        trial.optimize(JOIN_STEPS, robust=False)
+        for _ in range(2):
+            trial.optimize(3)
+            trial.associate()
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            parted += 1
+    return parted
 
 
 def drop_hidden(estimate: MapEstimate) -> int:
@@ -355,6 +402,21 @@ def drop_hidden(estimate: MapEstimate) -> int:
             without.associate()
             estimate.replace_by(without)
             dropped += 1
+    return dropped
+
+
+def drop_unmeasured(estimate: MapEstimate) -> int:
+    """Remove features that neither ranges nor two ties determine, since all lost theirs; return their number.
+
+    They are anywhere, and with them the rigid fit of the whole map, by which the accuracy of all walls is stated.
+    """
+    dropped = 0
+    feature, ties = estimate.assignment.feature, estimate.assignment.ties
+    counts = np.bincount(feature[feature != NO_FEATURE], minlength=estimate.state.features)
+    np.add.at(counts, np.concatenate((ties[:, 0] + len(estimate.state.walls), ties[:, 1])), 1)
+    for number in reversed(np.flatnonzero(counts < MIN_DETERMINED).tolist()):
+        estimate.remove(number)
+        dropped += 1
     return dropped
 
 
@@ -577,6 +639,8 @@ def _merged(estimate: MapEstimate, remaining: int, removed: int) -> MapEstimate:
     extents = trial.extents.copy()
     extents[remaining] = coordinates.min(), coordinates.max()
     trial.extents, trial.assignment = extents, replace(trial.assignment, feature=feature)
+    # It may have been measured from both sides.
+    trial.sides = np.where(np.arange(len(trial.sides)) == remaining, 0.0, trial.sides)
     trial.remove(removed)
     # 2. Optimized with the echoes of both by plain least squares, as robust weights would leave out those of the
     # removed one where the map is bent; then with those that it explains.
@@ -584,6 +648,8 @@ def _merged(estimate: MapEstimate, remaining: int, removed: int) -> MapEstimate:
     trial.optimize(3)
     trial.associate()
     trial.optimize(3)
+    # What the longer wall hides counts against it.
+    trial.associate()
     return trial
 
 

@@ -56,6 +56,8 @@ CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
 MAX_MISFIT: Final = 0.8
 """Misfit of a sound map: 0.6 is usual with smooth walls, 1 and more with a wrong wall or a wrong turn."""
+PASSED_IN: Final = 1.5
+"""Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 POST_IN: Final = 0.5
 """Half length of the segment that stands for a point."""
 
@@ -137,7 +139,7 @@ class LiveMapper:
 
     @property
     def walls(self) -> Floats:
-        """Walls (w, 4) as far as they were seen, and points as short ones."""
+        """Measured parts (w, 4) of walls, and points as short ones."""
         if self.estimate is None:
             return np.zeros((0, 4))
         return walls_and_posts(self.estimate)
@@ -174,7 +176,7 @@ class LiveMapper:
         nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
         window = MapEstimate(problem, replace(state, poses=poses), nothing)
         if full is not None:
-            window.extents, window.runs = full.extents, full.runs
+            window.extents, window.runs, window.sides = full.extents, full.runs, full.sides
         window.extend(len(trajectory))
         # 3. The poses.
         if full is not None and full.state.features and len(trajectory) > 1:
@@ -220,7 +222,7 @@ class LiveMapper:
                 break
             state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
             assignment = Assignment(feature, before.assignment.ties)
-            candidate = MapEstimate(problem, state, assignment, before.extents, before.runs)
+            candidate = MapEstimate(problem, state, assignment, before.extents, before.runs, before.sides)
             candidate.extend(len(trajectory))
             if candidates:
                 align_heading(candidate, mapped - NODES_PER_ROUND // 2, self._noise)
@@ -264,10 +266,42 @@ class LiveMapper:
 
 
 def walls_and_posts(estimate: MapEstimate) -> Floats:
-    """Return the walls (w, 4) of a map as far as they were seen, and its points as short ones."""
-    points, half = estimate.state.points, np.array((POST_IN, 0.0))
-    posts = np.concatenate((points - half, points + half), axis=1).reshape(-1, 4)
-    return np.concatenate((segments_of(estimate.state.walls, estimate.extents), posts))
+    """Return the parts (w, 4) of walls without wide gaps, and points as short ones.
+
+    The line of a wall may go on beyond a door, which stays open. A wall of which no part is known is returned whole.
+    """
+    walls, points = estimate.state.walls, estimate.state.points
+    of_wall, half = estimate.runs[:, 0].astype(np.intp), np.array((POST_IN, 0.0))
+    whole = ~np.isin(np.arange(len(walls)), of_wall)
+    return np.concatenate((
+        segments_of(walls[of_wall], estimate.runs[:, 1:]),
+        segments_of(walls[whole], estimate.extents[whole]),
+        np.concatenate((points - half, points + half), axis=1).reshape(-1, 4),
+    ))  # fmt: skip
+
+
+def passed(walls: Floats, path: Floats, radius_in: float) -> Floats:
+    """Return the parts (n, 4) of walls (w, 4) that are not nearer than a radius to any point (p, 2) of a path."""
+    parts = []
+    for wall in walls:
+        length = max(float(np.hypot(*(wall[2:] - wall[:2]))), 1e-9)
+        along = (wall[2:] - wall[:2]) / length
+        off = path - wall[:2]
+        across = off[:, 0] * along[1] - off[:, 1] * along[0]
+        near = np.abs(across) < radius_in
+        middle, half = off[near] @ along, np.sqrt(radius_in**2 - across[near] ** 2)
+        begin = 0.0
+        for low, high in sorted(zip(middle - half, middle + half, strict=True)):
+            if high < begin:
+                continue
+            if low > length:
+                break
+            if low > begin:
+                parts.append((*(wall[:2] + begin * along), *(wall[:2] + low * along)))
+            begin = high
+        if begin < length:
+            parts.append((*(wall[:2] + begin * along), *wall[2:]))
+    return np.array(parts).reshape(-1, 4)
 
 
 def _common(one: Indices, other: Indices) -> int:

@@ -68,6 +68,11 @@ point on its place, so a bound within the cone would draw it towards the axes, a
 sonars: walls were 0.5 in off in a corridor. A point that stays in place bounds headings as walls do."""
 TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
+RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
+"""Walls of buildings are at right angles to one another within this, or they are not meant to be: what is off by more
+than the robust limit counts hardly. A robot that turns by a radian loses its heading by 6 degrees, and gets it back
+from walls; without this the directions of rooms would be known only by what is seen through their doors."""
+AXES_STEPS: Final = 8
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
 MIN_GAIN: Final = 0.05
@@ -352,7 +357,6 @@ class MapProblem:
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
         self.reflection = reflection
         self._wall_bearing_std_rad = WALL_BEARING_STD_RAD * (reflection.half_cone_rad / HALF_CONE_RAD)
-        self._tie_std_in = hypot(TIE_STD_IN, reflection.surface_std_in)
         self._stds, self._parameters = parameter_stds, len(parameter_stds) + sonars
         own = np.r_[np.zeros(len(parameter_stds)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
         self.prior: Floats = np.vstack((np.diag(1.0 / np.r_[parameter_stds, np.full(sonars, OWN_OFFSET_STD_IN)]), own))
@@ -440,8 +444,14 @@ class MapProblem:
         points, walls = state.points[assignment.ties[:, 0]], state.walls[assignment.ties[:, 1]]
         residual: Floats = (
             points[:, 0] * np.cos(walls[:, 0]) + points[:, 1] * np.sin(walls[:, 0]) - walls[:, 1]
-        ) / self._tie_std_in
+        ) / self._tie_stds(state, assignment)
         return residual
+
+    def _tie_stds(self, state: MapState, assignment: Assignment) -> Floats:
+        """Return the standard deviations (k,) of ties: a corner is anywhere on a surface with levels."""
+        has_levels = np.isin(assignment.ties[:, 1], state.levels.wall)
+        stds: Floats = np.where(has_levels, hypot(TIE_STD_IN, self.reflection.surface_std_in), TIE_STD_IN)
+        return stds
 
     def level_residuals(self, levels: Levels) -> tuple[Floats, Floats, Floats]:
         """Return the residuals (l,) of the surface, and their derivatives by each level and by the one before."""
@@ -475,6 +485,27 @@ class MapProblem:
             np.add.at(information, assignment.level[has_level], 1.0 / np.square(self.trajectory.std_in[has_level]))
         return information
 
+    def angle_residuals(self, state: MapState, assignment: Assignment) -> tuple[Floats, Floats]:
+        """Return the residuals (w,) of walls from the building's axes, and derivatives (w, w); none if plain.
+
+        The directions of the axes are unknown: those that the walls cost least by, beginning at the wall with the most
+        echoes. A cost that is minimized over an unknown has the derivative by the others as if that one were fixed.
+        Its normal equations, with the unknown eliminated, have the information W - w w' / sum(w) instead of W.
+        """
+        angles = state.walls[:, 0]
+        if len(angles) < 2 or self.has_fixed_map or not self.robust:
+            return np.zeros(0), np.zeros((0, 0))
+        explained = assignment.feature[(assignment.feature != NO_FEATURE) & (assignment.feature < len(angles))]
+        axis = float(angles[np.bincount(explained, minlength=len(angles)).argmax()])
+        quarter = 0.5 * np.pi
+        for _ in range(AXES_STEPS):
+            off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
+            weight = robust_weight(off / RIGHT_ANGLE_STD_RAD)
+            axis += float(weight @ off / weight.sum())
+        off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
+        centred = np.eye(len(angles)) - weight / weight.sum()
+        return off / RIGHT_ANGLE_STD_RAD, centred / RIGHT_ANGLE_STD_RAD
+
     def cost(self, state: MapState, assignment: Assignment) -> float:
         """Return twice the negative log-likelihood of all, up to a constant."""
         echoes, residuals, _ = self.range_residuals(state, assignment)
@@ -487,6 +518,7 @@ class MapProblem:
             + np.square(residuals[:, 1]).sum()
             + ROBUST_LIMIT**2 * unexplained
             + np.square(self.tie_residuals(state, assignment)).sum()
+            + robust_cost(self.angle_residuals(state, assignment)[0]).sum()
             + np.square(self.prior @ state.parameters).sum()
             + (np.square(self.level_residuals(state.levels)[0]).sum() if len(state.levels) else 0.0)
         )
@@ -497,6 +529,7 @@ class MapProblem:
             self.odometry(state)[0],
             self.range_residuals(state, assignment)[1],
             self.tie_residuals(state, assignment),
+            self.angle_residuals(state, assignment)[0],
             self.prior @ state.parameters,
             *((self.level_residuals(state.levels)[0],) if len(state.levels) else ()),
         )
@@ -529,14 +562,21 @@ class MapProblem:
         # 2. Echoes: a pose, a feature, the offset of all sonars and that of one.
         self._add_echoes(state, assignment, NormalEquations(T, U, C, D, g, h))
         # 3. Ties, of a point and a wall.
-        for (point, wall), residual in zip(assignment.ties, self.tie_residuals(state, assignment), strict=True):
+        residuals, stds = self.tie_residuals(state, assignment), self._tie_stds(state, assignment)
+        for (point, wall), residual, std in zip(assignment.ties, residuals, stds, strict=True):
             (x, y), (angle, _) = state.points[point], state.walls[wall]
             c, s = np.cos(angle), np.sin(angle)
             at = [WALL * wall, WALL * wall + 1, walls + POINT * point, walls + POINT * point + 1]
-            J = np.array((y * c - x * s, -1.0, c, s)) / self._tie_std_in
+            J = np.array((y * c - x * s, -1.0, c, s)) / std
             D[np.ix_(at, at)] += np.outer(J, J)
             h[at] -= J * residual
-        # 4. Priors. Features without echoes would make the border singular.
+        # 4. Right angles.
+        r, J = self.angle_residuals(state, assignment)
+        weight = robust_weight(r)
+        angles = slice(0, WALL * len(r), WALL)
+        D[angles, angles] += J.T @ (weight[:, None] * J)
+        h[angles] -= J.T @ (weight * r)
+        # 5. Priors. Features without echoes would make the border singular.
         D[parameters, parameters] += self._prior_information
         h[parameters] -= self._prior_information @ state.parameters
         if len(state.levels):

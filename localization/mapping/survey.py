@@ -21,7 +21,8 @@ import numpy as np
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
-from localization.mapping.live import LiveMapper
+from localization.mapping.association import crossings
+from localization.mapping.live import LiveMapper, passed
 from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds, rotate
 from localization.mapping.problem import HALF_CONE_RAD
 from localization.navigation.control_law import (
@@ -62,13 +63,15 @@ BLIND_IN: Final = 8.0
 comes 4 in nearer, of the 5.3 in that it has."""
 BLIND_IN_S: Final = 3.0
 GAP_IN_S: Final = 2.0
-PASSED_IN: Final = (2.0, 4.0, 6.0)
+GAP_STEPS_IN: Final = (2.0, 4.0, 6.0)
 """Through a gap narrower than sonars measure: speed, and how far ahead the map must show space."""
 GAP_SPACE_IN: Final = 1.2
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
 MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 19))
 """Where the map is looked up: as far as the robot drives in REACTION_S at the usual 6 in/s."""
+DOOR_SPACE_IN: Final = 1.2
+"""Space beside the path in a door that the map does not have: as much as paths leave."""
 KNOWN_IN: Final = 8.0
 """The map must show a wall this near to the body: that is what the sonars cannot measure."""
 SHORT_IN: Final = 6.0
@@ -349,8 +352,15 @@ class _Motion:
         """Return how far the body may move until a wall of a sound map is too near; inf if none is within 9 in."""
         if not mapper.is_sound or not len(mapper.walls):
             return inf
+        body_in, walls, path = self._guard.body_in, mapper.walls, mapper.poses[:, :2]
+        near = walls[nearest_points(pose[None, :2], walls)[1][0] < body_in + MAP_STEPS_IN[-1] + MAP_MARGIN_IN]
+        # Where the robot has driven through a wall of the map there is a door.
+        has_door = crossings(path[:-1], path[1:], near).any(axis=0)
+        near = np.concatenate((near[~has_door], passed(near[has_door], path, body_in + DOOR_SPACE_IN)))
+        if not len(near):
+            return inf
         places = pose[:2] + np.outer((0.0, *MAP_STEPS_IN), np.array((cos(direction_rad), sin(direction_rad))))
-        spaces = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
+        spaces = (wall_distances(places, near) - body_in).tolist()
         for moved_in, (before, space) in zip((0.0, *MAP_STEPS_IN), pairwise(spaces), strict=False):
             if space < min(before, MAP_MARGIN_IN):
                 return moved_in
@@ -361,7 +371,7 @@ class _Motion:
         if not mapper.is_sound or not len(mapper.walls):
             return False
         along = np.array((cos(direction_rad), sin(direction_rad)))
-        places = pose[:2] + np.outer((0.0, *PASSED_IN), along)
+        places = pose[:2] + np.outer((0.0, *GAP_STEPS_IN), along)
         here, *ahead = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
         if here >= KNOWN_IN or min(ahead) <= GAP_SPACE_IN:
             return False

@@ -147,19 +147,12 @@ class Step:
     def as_json(self) -> dict[str, Any]:
         """Return the step as plain data; the keys are documented in docs/missions.md."""
         return {
-            "do": self.name,
-            "what": self.arguments,
-            "ending": self.ending,
-            "reason": self.reason,
-            "began_s": round(self.began_s, 3),
-            "duration_s": round(self.ended_s - self.began_s, 3),
-            "tries": self.tries,
-            "way_in": round(self.driven_in, 2),
-            "touches": self.touches,
-            "plans": self.plans,
+            "do": self.name, "what": self.arguments, "ending": self.ending, "reason": self.reason,
+            "began_s": round(self.began_s, 3), "duration_s": round(self.ended_s - self.began_s, 3), "tries": self.tries,
+            "way_in": round(self.driven_in, 2), "touches": self.touches, "plans": self.plans,
             "planned_in": round(self.planned_in, 2),
             "notes": [{"at_s": round(at, 3), "words": words} for at, words in self.notes],
-        }
+        }  # fmt: skip
 
 
 @dataclass
@@ -196,18 +189,12 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain data: inches, seconds, degrees."""
         return {
-            "title": self.title,
-            "ending": self.ending,
-            "reason": self.reason,
-            "duration_s": round(self.duration_s, 3),
+            "title": self.title, "ending": self.ending, "reason": self.reason, "duration_s": round(self.duration_s, 3),
             "way_in": round(sum(step.driven_in for step in self.steps), 2),
-            "touches": sum(step.touches for step in self.steps),
-            "pose": _pose_as_json(self.pose),
-            "std": _pose_as_json(self.std),
-            "truth": _pose_as_json(self.truth),
-            "hint": self.hint or None,
+            "touches": sum(step.touches for step in self.steps), "pose": _pose_as_json(self.pose),
+            "std": _pose_as_json(self.std), "truth": _pose_as_json(self.truth), "hint": self.hint or None,
             "steps": [step.as_json() for step in self.steps],
-        }
+        }  # fmt: skip
 
     def text(self) -> str:
         """Return the report as text."""
@@ -291,7 +278,7 @@ class Mission:
             controller.add_fence(self._fence)
         self._step: Step | None = None
         self._is_unmoved_noted = False
-        self._encoders = self._encoder_position(controller.last)
+        self._encoders = controller.last.state.x_in, controller.last.state.y_in
         controller.observers.append(self._check_period)
 
     @property
@@ -314,16 +301,15 @@ class Mission:
                         retries=retries)  # fmt: skip
         words = f"({x_in:g}, {y_in:g})" + ("" if heading_deg is None else f" {heading_deg:g} deg")
         heading = None if heading_deg is None else radians(heading_deg)
-        self._run_step("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
-        return self.seen
+        return self._run_step("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
 
     def follow(self, points_in: Sequence[Point], *, limit_s: float = inf, retries: int = 0,
                within_in: float = 1.0) -> Seen:  # fmt: skip
         """Drive along straight lines between points, passing all but the last, where the robot stops."""
         goals = read_points("follow", points_in)
         check_arguments("follow", within_in=within_in, limit_s=limit_s, retries=retries)
-        self._run_step("follow", _format_points(goals), lambda: self._drive(goals, None, within_in), limit_s, retries)
-        return self.seen
+        drive = partial(self._drive, goals, None, within_in)
+        return self._run_step("follow", _format_points(goals), drive, limit_s, retries)
 
     def turn(self, heading_deg: float | None = None, *, by_deg: float | None = None, limit_s: float = inf,
              retries: int = 0) -> Seen:  # fmt: skip
@@ -337,20 +323,17 @@ class Mission:
         else:
             target_rad = radians(heading_deg or 0.0)
             words, remaining = f"to {heading_deg:g} deg", partial(angle_difference, second_rad=target_rad)
-        self._run_step("turn", words, lambda: self._turn(remaining), limit_s, retries)
-        return self.seen
+        return self._run_step("turn", words, lambda: self._turn(remaining), limit_s, retries)
 
     def look(self, seconds: float = RING_S) -> Seen:
         """Stand for a time and return the readings."""
         check_arguments("look", seconds=seconds)
-        self._run_step("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
-        return self.seen
+        return self._run_step("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
 
     def wait_for(self, condition: Condition, limit_s: float, words: str = "a condition") -> Seen:
         """Stand until the condition holds. Raises StepFailed if it does not within the limit."""
         check_arguments("wait_for", condition=condition, limit_s=limit_s, words=words)
-        self._run_step("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
-        return self.seen
+        return self._run_step("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
 
     def patrol(self, points_in: Sequence[Point], rounds: int = 1, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Drive to each of the points by the shortest paths, `rounds` times; each point is a step of its own."""
@@ -366,8 +349,7 @@ class Mission:
         """Drive to a point before the dock, turn to it, and drive in slowly until the dock or a contact."""
         check_arguments("dock", x_in=x_in, y_in=y_in, heading_deg=heading_deg, limit_s=limit_s, retries=retries)
         words = f"({x_in:g}, {y_in:g}) {heading_deg:g} deg"
-        self._run_step("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
-        return self.seen
+        return self._run_step("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
 
     def note(self, words: str) -> None:
         """Write a text into the report."""
@@ -376,8 +358,11 @@ class Mission:
 
     # running a step
 
-    def _run_step(self, name: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> None:
-        """Run a step with its retries and report it. Raises StepFailed, and the exception that ended the mission."""
+    def _run_step(self, name: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> Seen:
+        """Run a step with its retries, report it and return what is seen.
+
+        Raises StepFailed, and the exception that ended the mission.
+        """
         # A program that catches MissionOver gets it again from its next step.
         if self.ended is not None:
             raise self.ended
@@ -386,6 +371,7 @@ class Mission:
         with self._reported(name, words) as step:
             while not self._try_step(step, act, limit_s, is_last=step.tries >= retries):
                 self._controller.period()
+        return self.seen
 
     def _try_step(self, step: Step, act: Callable[[], None], limit_s: float, *, is_last: bool) -> bool:
         """Return True if an attempt succeeds. Raises StepFailed if the last one fails."""
@@ -532,7 +518,7 @@ class Mission:
     def _check_period(self, observation: Observation) -> None:
         """Observe a period: distance driven, time limits, fence, standing robot. Raises StepFailed, MissionOver."""
         # 1. Distance by the encoders.
-        position = self._encoder_position(observation)
+        position = observation.state.x_in, observation.state.y_in
         if self._step:
             self._step.driven_in += hypot(position[0] - self._encoders[0], position[1] - self._encoders[1])
         self._encoders = position
@@ -567,9 +553,6 @@ class Mission:
             f"the robot has not moved for {self._controller.unmoved_s:.0f} s although commanded to: is it held (see "
             "nserver ctl status), or its emergency button pressed?"
         )
-
-    def _encoder_position(self, observation: Observation) -> Point:
-        return observation.state.x_in, observation.state.y_in
 
     def _note(self, words: str) -> None:
         if self._step:

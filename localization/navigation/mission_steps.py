@@ -38,19 +38,8 @@ from typing import Annotated, Any, Final
 
 from msgspec import UNSET, Meta, UnsetType
 
+from localization.navigation import pilot
 from localization.navigation.mission import Condition, Mission
-from localization.navigation.pilot import (
-    TIME_LIMIT_S,
-    LostPolicy,
-    OnLost,
-    Retries,
-    Rounds,
-    Seconds,
-    Settings,
-    TimeLimit,
-    TurnAngle,
-    Within,
-)
 from nclient.common.files import parse_toml, read_text
 from nclient.common.process import TerminatedBySignal
 from nclient.common.validation import InvalidValue, Text, convert
@@ -75,8 +64,10 @@ Heading = Annotated[Angle, Meta(description="the heading at the end, in degrees"
 class _Motion(Table):
     """Keys of all steps that move."""
 
-    time_limit_s: Annotated[TimeLimit, Meta(description="the longest time of the step, in seconds")] | UnsetType = UNSET
-    retries: Retries = 0
+    time_limit_s: (
+        Annotated[pilot.TimeLimit, Meta(description="the longest time of the step, in seconds")] | UnsetType
+    ) = UNSET
+    retries: pilot.Retries = 0
 
     def limits(self) -> dict[str, Any]:
         return {"limit_s": inf if self.time_limit_s is UNSET else self.time_limit_s, "retries": self.retries}
@@ -88,7 +79,7 @@ class _GoTo(_Motion):
 
     to: PointInUnits
     heading_deg: Heading | UnsetType = UNSET
-    within_in: Within = 1.0
+    within_in: pilot.Within = 1.0
 
     def act(self, robot: Mission) -> None:
         robot.go_to(*self.to, _or_none(self.heading_deg), within_in=self.within_in, **self.limits())
@@ -99,7 +90,7 @@ class _Follow(_Motion):
     """Drive along straight lines between points."""
 
     points: Points
-    within_in: Within = 1.0
+    within_in: pilot.Within = 1.0
 
     def act(self, robot: Mission) -> None:
         robot.follow(self.points, within_in=self.within_in, **self.limits())
@@ -110,7 +101,7 @@ class _Turn(_Motion):
     """Turn in place."""
 
     heading_deg: Heading | UnsetType = UNSET
-    by_deg: TurnAngle | UnsetType = UNSET
+    by_deg: pilot.TurnAngle | UnsetType = UNSET
 
     def act(self, robot: Mission) -> None:
         robot.turn(_or_none(self.heading_deg), by_deg=_or_none(self.by_deg), **self.limits())
@@ -120,7 +111,7 @@ class _Turn(_Motion):
 class _Look(Table):
     """Stand and measure."""
 
-    for_s: Annotated[Seconds, Meta(description="time to stand and measure, seconds")] = 1.0
+    for_s: Annotated[pilot.Seconds, Meta(description="time to stand and measure, seconds")] = 1.0
 
     def act(self, robot: Mission) -> None:
         robot.look(self.for_s)
@@ -130,7 +121,7 @@ class _Look(Table):
 class _WaitFor(Table):
     """Stand until a condition holds."""
 
-    time_limit_s: Annotated[TimeLimit, Meta(description="the longest time to wait, in seconds")]
+    time_limit_s: Annotated[pilot.TimeLimit, Meta(description="the longest time to wait, in seconds")]
     touching: Annotated[bool, Meta(description="true: until a bumper touches")] | UnsetType = UNSET
     nearer_than_in: Annotated[Threshold, Meta(description="until a sonar reads less, in inches")] | UnsetType = UNSET
     farther_than_in: Annotated[Threshold, Meta(description="until all sonars read more, in inches")] | UnsetType = UNSET
@@ -153,7 +144,7 @@ class _Patrol(_Motion):
     """Drive from point to point, for some rounds."""
 
     points: Points
-    rounds: Rounds = 1
+    rounds: pilot.Rounds = 1
 
     def act(self, robot: Mission) -> None:
         robot.patrol(self.points, self.rounds, **self.limits())
@@ -189,9 +180,9 @@ class MissionFile(Table):
 
     title: Annotated[Text, Meta(description="title of the report")] = ""
     map: Annotated[Text, Meta(description="walls: a shipped world or a TOML file")] = ""
-    time_limit_s: Annotated[TimeLimit, Meta(description="limit of all steps, seconds")] = TIME_LIMIT_S
-    on_lost: Annotated[LostPolicy, Meta(description="behaviour when the estimate is LOST")] = OnLost.STOP
-    lost_s: Annotated[TimeLimit, Meta(description="for how long, seconds")] = 60.0
+    time_limit_s: Annotated[pilot.TimeLimit, Meta(description="limit of all steps, seconds")] = pilot.TIME_LIMIT_S
+    on_lost: Annotated[pilot.LostPolicy, Meta(description="behaviour when the estimate is LOST")] = pilot.OnLost.STOP
+    lost_s: Annotated[pilot.TimeLimit, Meta(description="for how long, seconds")] = 60.0
     fence: Outline | UnsetType = UNSET
     step: Annotated[tuple[Step, ...], Meta(description="the steps, in order")] = ()
 
@@ -211,7 +202,7 @@ def _or_none(value: float | UnsetType) -> float | None:
 class MissionSpec:
     """A mission read from a file: settings, action, and the place of its map in the file for error messages."""
 
-    settings: Settings
+    settings: pilot.Settings
     run: Callable[[Mission], object]
     map_place: str
 
@@ -237,11 +228,11 @@ def parse_program(text: str, file: str) -> MissionSpec:
     except (Exception, SystemExit) as error:
         raise MissionFileError(_with_program_line(error, file)) from error
     # 2. Its function and its settings.
-    act, settings = names.get("mission"), names.get("settings", Settings())
+    act, settings = names.get("mission"), names.get("settings", pilot.Settings())
     if not callable(act):
         raise MissionFileError(f"{file}: expected a function mission(robot), found none; see docs/missions.md")
     _require_plain(act, file)
-    if not isinstance(settings, Settings):
+    if not isinstance(settings, pilot.Settings):
         raise MissionFileError(f"{file}: settings: expected Settings(...), found {type(settings).__name__}")
 
     def run(robot: Mission) -> None:
@@ -325,7 +316,7 @@ def parse_step_list(text: str, file: str) -> MissionSpec:
     except InvalidValue as error:
         raise MissionFileError(_with_line(f"{file}: {error}", file, text)) from None
     fence = () if mission.fence is UNSET else mission.fence
-    settings = Settings(mission.title, mission.map, mission.time_limit_s, fence, mission.on_lost, mission.lost_s)
+    settings = pilot.Settings(mission.title, mission.map, mission.time_limit_s, fence, mission.on_lost, mission.lost_s)
 
     def run(robot: Mission) -> None:
         for step in mission.step:

@@ -376,11 +376,9 @@ class PathFollower:
             section = self._path[self._number]
             # 1. Find the position on the path near the previous one.
             self._along_in = section.nearest(
-                float(pose[0]),
-                float(pose[1]),
-                max(0.0, self._along_in - SEARCH_BACK_IN),
+                float(pose[0]), float(pose[1]), max(0.0, self._along_in - SEARCH_BACK_IN),
                 self._along_in + SEARCH_AHEAD_IN,
-            )
+            )  # fmt: skip
             point = section.at(self._along_in)
             heading_error = angle_difference(point.heading_rad, float(pose[2]))
             # 2. At the end of a section go on with the next one.

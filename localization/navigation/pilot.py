@@ -42,6 +42,7 @@ from localization.filters.registry import DEFAULT_METHOD
 from localization.live.estimate import Estimate
 from localization.live.run import GroundTruth, Publisher, build_message
 from localization.live.sensor_input import SensorInput
+from localization.navigation import waypoints
 from localization.navigation.control_law import (
     MODEL_LIMITS,
     STAND,
@@ -54,13 +55,6 @@ from localization.navigation.control_law import (
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, position_std_in, update_obstacles
 from localization.navigation.path import TURNED_RAD, PathFollower, angle_difference, turn_command, wall_distances
 from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner
-from localization.navigation.waypoints import (
-    COMMAND_TIMEOUT_S,
-    Speeds,
-    drive_unless_held,
-    start_localizer,
-    wait_for_next_state,
-)
 from nclient.common.validation import InvalidValue, Text, convert, describe_value, field_types, reported_as
 from nclient.errors import BumperHit, MissionFileError, NomadError
 from nclient.robot import Robot
@@ -218,24 +212,18 @@ class RobotController:
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        config: LocalizationConfig,
-        body: Body,
-        belief: Belief,
-        wait: Wait,
-        method: str | Filter = DEFAULT_METHOD,
-        speed_in_s: float = Speeds().translation_in_s,
-    ) -> None:
+        self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
+        method: str | Filter = DEFAULT_METHOD, speed_in_s: float = waypoints.Speeds().translation_in_s,
+    ) -> None:  # fmt: skip
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
-        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, Speeds().steering_rad_s)
+        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, waypoints.Speeds().steering_rad_s)
         self.planner = Planner(walls, body.radius_in)
         self.obstacles = ObstacleTracker(walls, body.sonar_ring_radius_in)
         self.observers: list[Observer] = []
-        robot.set_timeout(COMMAND_TIMEOUT_S)
+        robot.set_timeout(waypoints.COMMAND_TIMEOUT_S)
         self._gap_limiter = StateGapLimiter()
-        self._localizer = start_localizer(robot, config, belief, method)
+        self._localizer = waypoints.start_localizer(robot, config, belief, method)
         state = robot.refresh()
         self.last = Observation(self._localizer.update(state), state)
         """The observation of the last period."""
@@ -273,13 +261,13 @@ class RobotController:
         before = self.last.state
         after, fraction = before, self._gap_limiter.speed_fraction(self.clock_s)
         with contextlib.suppress(BumperHit):
-            after = drive_unless_held(
+            after = waypoints.drive_unless_held(
                 self.robot,
                 translation_in_s=fraction * command.translation_in_s,
                 steering_rad_s=fraction * command.steering_rad_s,
             )
         # 2. Estimate.
-        self.last = self._observe(wait_for_next_state(self.robot, before, after, self._wait))
+        self.last = self._observe(waypoints.wait_for_next_state(self.robot, before, after, self._wait))
         if command == STAND or self.last.state.touching or _has_moved(before, self.last.state):
             self._moved_s = self.clock_s
         # 3. Notify.
@@ -404,14 +392,9 @@ class Pilot:
     """
 
     def __init__(
-        self,
-        planner: Planner,
-        limits: AxisLimits,
-        obstacles: ObstacleTracker,
-        goals: Sequence[Point],
-        heading_rad: float | None = None,
-        policy: RetryPolicy | None = None,
-    ) -> None:
+        self, planner: Planner, limits: AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
+        heading_rad: float | None = None, policy: RetryPolicy | None = None,
+    ) -> None:  # fmt: skip
         self._planner, self._limits, self._obstacles = planner, limits, obstacles
         self._goals, self._heading_rad = list(goals), heading_rad
         self.policy = policy or RetryPolicy()

@@ -152,17 +152,15 @@ class CornerCircle:
         angles : (n,) array
             Sorted angles in [0, 2 pi), n > 0.
         """
-        blocked = ~self._free
-        ends = np.append(self._borders[1:], tau)
+        begins, ends = self._borders[~self._free], np.append(self._borders[1:], tau)[~self._free]
         found = []
         for first, last in zip(angles, np.append(angles[1:], angles[0] + tau), strict=True):
             # An arc across angle 0 is checked as two spans.
             spans = [(first, min(last, tau)), (0.0, last - tau)]
-            found.append(not any(self._overlaps_blocked(a, b, blocked, ends) for a, b in spans if b > a))
+            found.append(not any(
+                ((begins < b - _MIN_DISTANCE) & (ends > a + _MIN_DISTANCE)).any() for a, b in spans if b > a
+            ))  # fmt: skip
         return found
-
-    def _overlaps_blocked(self, first: float, last: float, blocked: Mask, ends: Floats) -> bool:
-        return bool((blocked & (self._borders < last - _MIN_DISTANCE) & (ends > first + _MIN_DISTANCE)).any())
 
 
 def _border_angles(centre: Floats, walls: Floats, radius_in: float) -> Floats:
@@ -465,12 +463,9 @@ class Roadmap:
         own, other = own[rows], 1 - own[rows]
         tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
         return _CircleNodes(
-            2 + 4 * count + 2 * tangents + own,
-            angles[rows, own],
-            points[rows, own],
-            circles[rows, other],
+            2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own], circles[rows, other],
             points[rows, other],
-        )
+        )  # fmt: skip
 
     def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
         """Return the shortest path from start to goal; empty if they are the same point.

@@ -50,15 +50,11 @@ class Speeds:
 
     translation_in_s: float = 5.0
     steering_rad_s: float = 0.5
-    alpha_rho: float = 0.1
-    alpha_theta: float = 0.1
 
     @property
     def gains(self) -> ControlGains:
         """The same limits per step of PERIOD_S."""
-        return ControlGains(
-            self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta
-        )
+        return ControlGains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S)
 
 
 class Controller(Protocol):
@@ -90,13 +86,9 @@ class Navigator:
     """
 
     def __init__(
-        self,
-        waypoints: Sequence[tuple[float, float]],
-        speeds: Speeds | None = None,
-        radius_in: float = STOP_RADIUS_IN,
-        *,
-        stays: bool = False,
-    ) -> None:
+        self, waypoints: Sequence[tuple[float, float]], speeds: Speeds | None = None, radius_in: float = STOP_RADIUS_IN,
+        *, stays: bool = False,
+    ) -> None:  # fmt: skip
         self._stays = stays
         self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
         self._gains = (speeds or Speeds()).gains
@@ -165,14 +157,9 @@ def start_localizer(
 
 
 def follow_waypoints(
-    robot: Robot,
-    localizer: Localizer,
-    navigator: Controller,
-    wait: Callable[[float], None],
-    smoother: PoseSmoother | None = None,
-    *,
-    turns_turret: bool = False,
-) -> Generator[NavigationStep, None, None]:
+    robot: Robot, localizer: Localizer, navigator: Controller, wait: Callable[[float], None],
+    smoother: PoseSmoother | None = None, *, turns_turret: bool = False,
+) -> Generator[NavigationStep, None, None]:  # fmt: skip
     """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
     Without a waypoint left, a navigator that stays gives no commands: the robot may be driven by other clients.
@@ -227,14 +214,10 @@ def follow_waypoints(
 
 
 def record_run(
-    robot: Robot,
-    config: LocalizationConfig,
-    waypoints: Sequence[tuple[float, float]],
-    method: str | Filter = DEFAULT_METHOD,
-    *,
-    start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
+    robot: Robot, config: LocalizationConfig, waypoints: Sequence[tuple[float, float]],
+    method: str | Filter = DEFAULT_METHOD, *, start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
     wait: Callable[[float], None] | None = None,
-) -> Run:
+) -> Run:  # fmt: skip
     """Drive to waypoints on the estimate of a filter, and return the record of the run, for `localization.plot`.
 
     Parameters

@@ -164,6 +164,12 @@ class Wrapper:
 
     def __init__(self, inner: Backend) -> None:
         self._inner = inner
+        self.greeting = inner.greeting
+        """The state received while connecting, None if there was none."""
+        self.port = inner.port
+        """The server's port, 1 without server."""
+        self.link = inner.link
+        """Statistics of the link, None if nothing is counted."""
 
     @property
     def wire_state(self) -> WireState:
@@ -171,24 +177,9 @@ class Wrapper:
         return self._inner.wire_state
 
     @property
-    def greeting(self) -> Reply | None:
-        """Return the state received while connecting, None if there was none."""
-        return self._inner.greeting
-
-    @property
-    def port(self) -> int:
-        """Return the server's port, 1 without server."""
-        return self._inner.port
-
-    @property
     def closed(self) -> bool:
         """Return True if the session is over."""
         return self._inner.closed
-
-    @property
-    def link(self) -> LinkStatistics | None:
-        """Return the statistics of the link, None if nothing is counted."""
-        return self._inner.link
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply. Raises as the inner backend."""
@@ -265,14 +256,9 @@ class KeepAlive(Wrapper):
     """
 
     def __init__(
-        self,
-        inner: Backend,
-        timeout_s: int = DEFAULT_TIMEOUT_S,
-        *,
-        feeds: bool = True,
-        at_least_every_s: float = float("inf"),
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+        self, inner: Backend, timeout_s: int = DEFAULT_TIMEOUT_S, *, feeds: bool = True,
+        at_least_every_s: float = float("inf"), clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         super().__init__(inner)
         self._timeout_s = timeout_s
         self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
@@ -284,25 +270,17 @@ class KeepAlive(Wrapper):
         self._speed = 1.0
         """Robot time per real time; 0 if its time stands still between exchanges."""
         self._robot_ms = 0
-        self._greeting = inner.greeting
         self._last_request_s = clock()
         self._active = self._set_timeout(inner)
         """False if the other end has no motion timeout, or the program controls it."""
         self._thread = threading.Thread(
-            target=_poll_until_end,
-            args=(weakref.ref(self), inner, self._events, self._interval_s),
-            name="nomad-keep-alive",
-            daemon=True,
-        )
+            target=_poll_until_end, args=(weakref.ref(self), inner, self._events, self._interval_s),
+            name="nomad-keep-alive", daemon=True,
+        )  # fmt: skip
         if feeds and self._active:
             self._thread.start()
             # At the end of the program, which ends the thread, the timeout stops the robot.
             weakref.finalize(self, self._events.put, _DROPPED).atexit = False
-
-    @property
-    def greeting(self) -> Reply | None:
-        """Return the state received while connecting, or else with the timeout."""
-        return self._greeting
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply. Raises as the inner backend, or an error of the thread first."""
@@ -354,8 +332,8 @@ class KeepAlive(Wrapper):
         except RobotRefused:
             return False
         self._update_speed(reply)
-        if self._greeting is None:
-            self._greeting = reply
+        if self.greeting is None:
+            self.greeting = reply
         return True
 
     def _request(self, call: Call) -> Reply:

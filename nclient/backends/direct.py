@@ -243,16 +243,9 @@ class DirectBackend:
     """As connect_robot of the C library returns."""
 
     def __init__(
-        self,
-        stream: ByteStream,
-        model: Model,
-        *,
-        hello: bool = False,
-        timeout_s: float | None = None,
-        checks: bool = True,
-        link: LinkStatistics | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+        self, stream: ByteStream, model: Model, *, hello: bool = False, timeout_s: float | None = None,
+        checks: bool = True, link: LinkStatistics | None = None, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
         self.link = link or LinkStatistics()
         self._line = SerialLink(stream, self.link, clock)

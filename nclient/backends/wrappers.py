@@ -24,19 +24,11 @@ from typing import Final, NamedTuple
 
 from nclient.backends.base import Backend, Wrapper, is_wait, split_wait
 from nclient.errors import BumperHit, ConnectionLost, NomadError, ReplyTimeout, RobotRefused
+from nclient.protocol import types
 from nclient.protocol.commands import Call
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.replies import MOTOR_SLOT, Reply
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    COMPASS_SLOT,
-    FULL_TURN_TENTHS,
-    MAX_SONAR_IN,
-    MIN_SONAR_IN,
-    SCOUT_WHEEL_IN_PER_DEG,
-    SONAR_RATE_STEP_S,
-    Model,
-)
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, SCOUT_WHEEL_IN_PER_DEG, Model
 
 ACCEPTED_AFTER: Final = 3
 """Inconsistent replies of one kind in a row, of which the last is accepted."""
@@ -88,7 +80,7 @@ class ReplyValidator:
         self._model = model
         self._max_turn = _MAX_TURN if model.has_turret else _MAX_SCOUT_TURN
         self._ranges = [
-            *[(slot, (MIN_SONAR_IN, MAX_SONAR_IN)) for slot in _SONARS],
+            *[(slot, (types.MIN_SONAR_IN, types.MAX_SONAR_IN)) for slot in _SONARS],
             *[(slot, (0, FULL_TURN_TENTHS - 1)) for slot in _ANGLES],
             *[(slot, (-_MAX_RATE, _MAX_RATE)) for slot in _VELOCITIES],
             (MOTOR_SLOT, (0, _TURRET_MOTORS if model.has_turret else _SCOUT_MOTORS)),
@@ -105,7 +97,7 @@ class ReplyValidator:
             others = {slot: value for slot, value in self._last.slots.items() if slot not in slots_set}
             self._last = self._last._replace(slots=others)
         if call.name == "conf_sn":
-            self._firing_ms = max(1, call.args[0]) * SONAR_RATE_STEP_S * _MS
+            self._firing_ms = max(1, call.args[0]) * types.SONAR_RATE_STEP_S * _MS
 
     def find_inconsistency(self, reply: Reply) -> str:
         """Return a description of what cannot be true of a reply, "" if it is accepted."""
@@ -492,14 +484,9 @@ class ReconnectingBackend(Wrapper):
     """
 
     def __init__(
-        self,
-        inner: Backend,
-        open_session: Callable[[], Backend],
-        max_pause_s: float = MAX_PAUSE_S,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        wait: Callable[[float], object] | None = None,
-    ) -> None:
+        self, inner: Backend, open_session: Callable[[], Backend], max_pause_s: float = MAX_PAUSE_S, *,
+        clock: Callable[[], float] = time.monotonic, wait: Callable[[float], object] | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(inner)
         self._open_session = open_session
         self._max_pause_s = max_pause_s

@@ -48,12 +48,10 @@ class StateCommand:
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
         parser.add_argument(
-            "words",
-            nargs="*",
-            metavar="ADDRESS | PART",
+            "words", nargs="*", metavar="ADDRESS | PART",
             help=f"address of the robot (default: $NOMAD_ROBOT, or a local Nserver), and parts of the state: "
             f"{', '.join(state_text.PARTS)} (default: all)",
-        )
+        )  # fmt: skip
         add_flag(parser, "--watch", "repeat until Ctrl-C; implied by --every and --count")
         add_value(parser, "--every", "S", seconds, f"repeat at intervals of S seconds (default: {EVERY_S:g})")
         add_value(parser, "--count", "N", whole_number("the number of times", 1), "repeat N times")

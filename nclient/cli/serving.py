@@ -303,12 +303,9 @@ def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: 
 
 
 def _forward_direction(
-    source: ByteStream,
-    target: ByteStream,
-    finished: threading.Event,
-    observe: Callable[[bytes], None],
+    source: ByteStream, target: ByteStream, finished: threading.Event, observe: Callable[[bytes], None],
     should_end: Callable[[bool], bool],
-) -> None:
+) -> None:  # fmt: skip
     """Forward until `finished`, a lost connection, or `should_end`, which is called with True if nothing was read.
 
     A lost connection is reported once, by the direction that notices it first.
@@ -423,9 +420,7 @@ class PlayCommand:
         return ExitCode.FAILED if mismatches else ExitCode.DONE
 
 
-def play(
-    player: Player, stream: ByteStream, sleep: Callable[[float], None] | None, session: ClientSession
-) -> None:
+def play(player: Player, stream: ByteStream, sleep: Callable[[float], None] | None, session: ClientSession) -> None:
     """Serve one client until it disconnects or its session ends.
 
     Raises

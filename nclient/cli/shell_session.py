@@ -633,11 +633,8 @@ class Session:
         rows = {word.usage: word.summary for word in BUILTINS.values()}
         rows |= ARRAYS_HELP | summaries(self.wire_state)
         for left, right in rows.items():
-            yield (
-                f"{left:{_USAGE_WIDTH}}  {right}"
-                if len(left) <= _USAGE_WIDTH
-                else f"{left}\n{'':{_USAGE_WIDTH}}  {right}"
-            )
+            line_end = "" if len(left) <= _USAGE_WIDTH else f"\n{'':{_USAGE_WIDTH}}"
+            yield f"{left:{_USAGE_WIDTH}}{line_end}  {right}"
         yield f"{model_note(self.wire_state.model)}; help NAME says more"
 
     def _wait(self, seconds: float) -> str:
@@ -665,9 +662,7 @@ class Session:
             # A paused simulation would otherwise make this loop endless.
             stops = 0 if now_s != last_s else stops + 1
             if stops >= _MAX_CLOCK_STOPS:
-                raise ShellError(
-                    "sleep: the clock has stopped; resume a paused simulation with sim_control 2 0"
-                )
+                raise ShellError("sleep: the clock has stopped; resume a paused simulation with sim_control 2 0")
             last_s = now_s
 
     def _wait_for_clock(self, left_s: float) -> None:

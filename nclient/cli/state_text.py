@@ -231,7 +231,6 @@ def _prediction(reply: Reply) -> Iterator[str]:
 
 VALUES: dict[str, Callable[[Reply], Iterator[str]]] = {
     "sim_truth": _truth, "sim_control": _time, "motion_check": _collision, "get_rpx": _robots,
-    "held_by": _hold,
-    "predict_sensors": _prediction,
+    "held_by": _hold, "predict_sensors": _prediction,
 }  # fmt: skip
 """Formatting of replies that are not stored in the state, by command."""

@@ -22,7 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from inspect import getdoc
 from textwrap import fill
@@ -37,19 +37,7 @@ from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.replies import LineLayout, TcpLayout
 from nclient.protocol.serial_framing import HOST_LIMIT, ROBOT_LIMIT
-from nclient.protocol.types import (
-    CPU_RANGE_V,
-    EVERYTHING,
-    INFRARED_KEYS,
-    MODELS,
-    MOTOR_RANGE_V,
-    NO_MASK_MODELS,
-    SONAR_KEYS,
-    STAMP_KEYS,
-    Mask,
-    get_model,
-    serial_wire_state,
-)
+from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, Mask, get_model, serial_wire_state
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,15 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", metavar="encode|decode|dump|dissector", required=True)
     _add_encode(verbs)
     _add_decode(verbs)
-    _add_verb(verbs, "dump", getdoc(_dump) or "")
-    _add_verb(verbs, "dissector", getdoc(_dissector) or "")
+    _add_verb(verbs, "dump", _dump)
+    _add_verb(verbs, "dissector", _dissector)
     _add_protocol(parser)
     parser.set_defaults(line="tcp", model="n150")
 
 
 def _add_encode(verbs: Any) -> None:
     calls = fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
-    encode = _add_verb(verbs, "encode", f"{getdoc(_encode)}\n\nCalls:\n\n{calls}")
+    encode = _add_verb(verbs, "encode", _encode, f"\n\nCalls:\n\n{calls}")
     encode.add_argument("call", metavar="CALL", help="C name, such as vm, get_sn, special_request")
     encode.add_argument("args", nargs="*", metavar="ARG", help="arguments of the call")
     encode.add_argument("--pid", type=int, default=1, help="process id that connect_robot sends (default: 1)")
@@ -74,26 +62,25 @@ def _add_encode(verbs: Any) -> None:
 
 
 def _add_decode(verbs: Any) -> None:
-    decode = _add_verb(verbs, "decode", getdoc(_decode) or "")
+    decode = _add_verb(verbs, "decode", _decode)
     decode.add_argument("hex", nargs="+", metavar="HEX", action=_JoinHex, help="bytes of one frame")
-    decode.add_argument(
-        "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
-    )
+    decode.add_argument("--to", choices=("robot", "host"), default="robot",
+                        help="direction of the frame (default: robot)")  # fmt: skip
     decode.add_argument("--call", metavar="CALL", help="decode as the reply to this call")
-    decode.add_argument(
-        "--mask", type=_mask, default=EVERYTHING, help="44 numbers of the mask in force (default: all on)"
-    )
+    decode.add_argument("--mask", type=_mask, default=EVERYTHING,
+                        help="44 numbers of the mask in force (default: all on)")  # fmt: skip
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
 
 
-def _add_verb(verbs: Any, name: str, description: str) -> argparse.ArgumentParser:
-    """Add the parser of a verb, with the first line of its description as its help."""
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=description.partition("\n")[0].removesuffix("."),
-        description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def _add_verb(
+    verbs: Any, name: str, execute: Callable[[argparse.Namespace], int], more: str = ""
+) -> argparse.ArgumentParser:
+    """Add the parser of a verb, with the first line of its function's description as its help."""
+    description = f"{getdoc(execute)}{more}"
+    about = description.partition("\n")[0].removesuffix(".")
+    raw = argparse.RawDescriptionHelpFormatter
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=about, description=description, formatter_class=raw)
+    parser.set_defaults(execute=execute)
     _add_protocol(parser)
     return parser
 
@@ -104,31 +91,16 @@ def _add_protocol(parser: argparse.ArgumentParser) -> None:
     Both may stand before or after the verb, so the parser of `nomad wire` and that of each verb have them. The defaults
     are set by `add_arguments`, once: the parser of the verb comes last, and must not replace what the first one read.
     """
-    parser.add_argument(
-        "--line",
-        choices=WIRES,
-        default=argparse.SUPPRESS,
-        help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)",
-    )
-    parser.add_argument(
-        "--model",
-        choices=tuple(MODELS),
-        default=argparse.SUPPRESS,
-        help="model of the robot on the serial line (default: n150)",
-    )
+    parser.add_argument("--line", choices=WIRES, default=argparse.SUPPRESS,
+                        help="protocol: Nserver's for 32-bit or 64-bit clients, or the serial line's (default: tcp)")
+    parser.add_argument("--model", choices=tuple(MODELS), default=argparse.SUPPRESS,
+                        help="model of the robot on the serial line (default: n150)")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
     """Run encode, decode, dump or dissector, and return the exit code."""
-    match options.verb:
-        case "encode":
-            return _encode(options)
-        case "decode":
-            return _decode(options)
-        case "dump":
-            return _dump(options)
-        case _:
-            return _dissector()
+    code: int = options.execute(options)
+    return code
 
 
 def _encode(options: argparse.Namespace) -> int:
@@ -249,7 +221,7 @@ def _dump(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _dissector() -> int:
+def _dissector(_options: argparse.Namespace) -> int:
     """Print a dissector for Wireshark and tshark in Lua, generated from the command table.
 
     It shows the Nserver protocol, of 32-bit and 64-bit clients, and the serial protocol over TCP: on the ports 7019
@@ -305,17 +277,15 @@ def _mask(text: str) -> Mask:
 _TABLE_MARK: Final = "--@TABLE@\n"
 # Names of the 45 State slots in Wireshark's filters: nomad.speed, nomad.ir_0, ...
 _SLOTS: Final = (
-    "speed", *INFRARED_KEYS, *SONAR_KEYS, "bumper", "x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret",
-    "motors", "laser_mode", "compass", "state_error",
+    "speed", *types.INFRARED_KEYS, *types.SONAR_KEYS, "bumper", "x", "y", "steer", "turret", "v_trans", "v_steer",
+    "v_turret", "motors", "laser_mode", "compass", "state_error",
 )
 _UNITS: Final = {
     "x": "1/10 in", "y": "1/10 in", "steer": "1/10 deg", "turret": "1/10 deg", "v_trans": "1/10 in/s",
     "v_steer": "1/10 deg/s", "v_turret": "1/10 deg/s", "compass": "1/10 deg", "clock": "ms", "pose_time": "ms",
-    "sensor_time": "ms", **dict.fromkeys(SONAR_KEYS, "in"),
+    "sensor_time": "ms", **dict.fromkeys(types.SONAR_KEYS, "in"),
 }
-_STAMP_PARTS: Final = (
-    "x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret", "pose_time", "sensor_time",
-)
+_STAMP_PARTS: Final = ("x", "y", "steer", "turret", "v_trans", "v_steer", "v_turret", "pose_time", "sensor_time")
 _INTEGERS: Final = {
     "type": "Type", "count": "Words", "word_bits": "Bits of a word", "length": "Length", "checksum": "Checksum",
     "smask": "Smask", "packet_type": "Packet type", "number": "Number", "value": "Value", "code": "Error code",
@@ -355,27 +325,17 @@ def _tables() -> dict[str, Any]:
     return {
         "INTEGER_FIELDS": list(map(list, (_INTEGERS | slots | stamps | arguments).items())),
         "REAL_FIELDS": list(map(list, _REALS.items())),
-        "TEXT_FIELDS": list(map(list, (_TEXTS | {"tk.text": "text (tk)"}).items())),
-        "SLOTS": list(_SLOTS),
-        "STAMP_KEYS": {int(bit): list(keys) for bit, keys in STAMP_KEYS.items()},
-        "EVERYTHING": list(EVERYTHING.smask),
-        "NO_MASK_MODELS": list(NO_MASK_MODELS.smask),
-        "TCP_LINE_MODES": sorted(types.TCP_LINE_MODES),
-        "POINT_MODES": sorted(types.POINT_MODES),
+        "TEXT_FIELDS": list(map(list, (_TEXTS | {"tk.text": "text (tk)"}).items())), "SLOTS": list(_SLOTS),
+        "STAMP_KEYS": {int(bit): list(keys) for bit, keys in types.STAMP_KEYS.items()},
+        "EVERYTHING": list(EVERYTHING.smask), "NO_MASK_MODELS": list(types.NO_MASK_MODELS.smask),
+        "TCP_LINE_MODES": sorted(types.TCP_LINE_MODES), "POINT_MODES": sorted(types.POINT_MODES),
         "MAX_LASER_READINGS": layouts.MAX_LASER_READINGS,
-        "MAX_OBSTACLE_VERTICES": layouts.MAX_OBSTACLE_VERTICES,
-        "MAX_UNKNOWN_WORDS": codec.MAX_UNKNOWN_WORDS,
-        "MAX_REPLY_WORDS": commands.MAX_REPLY_WORDS,
-        "HOST_LIMIT": HOST_LIMIT,
-        "ROBOT_LIMIT": ROBOT_LIMIT,
-        "CPU_RANGE_V": CPU_RANGE_V,
-        "MOTOR_RANGE_V": MOTOR_RANGE_V,
-        "NAK_TYPE": commands.NAK_TYPE,
-        "ERROR_TYPE": commands.ERROR_TYPE,
-        "ERROR_LAYOUT": _tcp_layout(shape.ERROR),
-        "SAME_SHAPE": wire.SAME_SHAPE,
+        "MAX_OBSTACLE_VERTICES": layouts.MAX_OBSTACLE_VERTICES, "MAX_UNKNOWN_WORDS": codec.MAX_UNKNOWN_WORDS,
+        "MAX_REPLY_WORDS": commands.MAX_REPLY_WORDS, "HOST_LIMIT": HOST_LIMIT, "ROBOT_LIMIT": ROBOT_LIMIT,
+        "CPU_RANGE_V": CPU_RANGE_V, "MOTOR_RANGE_V": MOTOR_RANGE_V, "NAK_TYPE": commands.NAK_TYPE,
+        "ERROR_TYPE": commands.ERROR_TYPE, "ERROR_LAYOUT": _tcp_layout(shape.ERROR), "SAME_SHAPE": wire.SAME_SHAPE,
         "BY_REPLY_TYPE": {number: [_tcp_layout(one) for one in found] for number, found in wire.BY_REPLY_TYPE.items()},
-    }
+    }  # fmt: skip
 
 
 def _indexes() -> str:
@@ -399,20 +359,13 @@ def _label(name: str) -> str:
 def _row(row: Command) -> dict[str, Any]:
     """Return a row of the command table as the Lua program needs it."""
     entry: dict[str, Any] = {
-        "name": row.name,
-        "arguments": [_argument_field(row, argument.name) for argument in row.arguments],
-        "any_length": row.any_length,
-        "words": list(row.tcp_words),
-        "has_reply": row.has_tcp_reply and row.tcp_type is not None,
-        "reply": _tcp_layout(row.tcp_reply),
-        "reply_type": commands.REPLY_TYPES[row.tcp_reply],
-        "line_type": row.line_type,
-        "line_kind": row.line_reply.kind,
-        "line_reply": list(_line_parts(row.line_reply)),
-        "models": dict.fromkeys(sorted(row.line_models), True),
-        "only_n200": row.line_models == commands.N200,
-        "flags": [argument.is_flag for argument in row.arguments],
-    }
+        "name": row.name, "arguments": [_argument_field(row, argument.name) for argument in row.arguments],
+        "any_length": row.any_length, "words": list(row.tcp_words),
+        "has_reply": row.has_tcp_reply and row.tcp_type is not None, "reply": _tcp_layout(row.tcp_reply),
+        "reply_type": commands.REPLY_TYPES[row.tcp_reply], "line_type": row.line_type, "line_kind": row.line_reply.kind,
+        "line_reply": list(_line_parts(row.line_reply)), "models": dict.fromkeys(sorted(row.line_models), True),
+        "only_n200": row.line_models == commands.N200, "flags": [argument.is_flag for argument in row.arguments],
+    }  # fmt: skip
     # Arguments that are not one word or one field each.
     match row.tcp_request:
         case layouts.TcpMask():

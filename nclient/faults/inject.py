@@ -32,24 +32,7 @@ from random import Random
 from typing import NamedTuple
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.faults.plan import (
-    BIT,
-    GREETING,
-    Alteration,
-    Blackout,
-    Corrupt,
-    Delay,
-    Direction,
-    Drop,
-    DropByte,
-    Fault,
-    HangUp,
-    InsertBytes,
-    Nak,
-    Noise,
-    Plan,
-    Rule,
-)
+from nclient.faults import plan as faults
 from nclient.protocol.client_state import HANDSHAKE_SIZE
 from nclient.protocol.codec import build_frame as build_tcp_frame
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, BY_TCP_TYPE, ERROR_TYPE, MAX_REPLY_WORDS, NAK_TYPE
@@ -184,16 +167,16 @@ Frames = LineFrames | TcpFrames
 CORRUPTED, DROPPED, ADDED = "corrupted_bytes", "dropped_bytes", "added_bytes"
 
 
-def alter_bytes(data: bytes, fault: Alteration, rng: Random) -> bytes:
+def alter_bytes(data: bytes, fault: faults.Alteration, rng: Random) -> bytes:
     """Return the bytes after a fault; `data` has at least one byte, the result may be empty."""
     match fault:
-        case Corrupt():
+        case faults.Corrupt():
             place = _index(fault.place, len(data), rng)
             return data[:place] + bytes((_different_byte(data[place], fault.change, rng),)) + data[place + 1 :]
-        case DropByte():
+        case faults.DropByte():
             place = _index(fault.place, len(data), rng)
             return data[:place] + data[place + 1 :]
-        case InsertBytes():
+        case faults.InsertBytes():
             place = _index(fault.place, len(data) + 1, rng)
             return data[:place] + rng.randbytes(fault.count) + data[place:]
     # A cut delivers at least one byte if it can, and never the whole frame.
@@ -201,7 +184,7 @@ def alter_bytes(data: bytes, fault: Alteration, rng: Random) -> bytes:
     return data[: rng.randint(min(1, maximum), maximum) if fault.keep is None else min(fault.keep, maximum)]
 
 
-def add_noise(data: bytes, noise: Noise, rng: Random, tally: Counter[str]) -> bytes:
+def add_noise(data: bytes, noise: faults.Noise, rng: Random, tally: Counter[str]) -> bytes:
     """Return the bytes after random noise, and count changed bytes by kind and the frame in `tally`."""
     # One draw per byte, compared with cumulative probabilities: dropped | corrupted | added | unchanged.
     dropped = noise.drop_percent / 100.0
@@ -234,7 +217,7 @@ def _index(wanted: int | None, count: int, rng: Random) -> int:
 
 
 def _different_byte(byte: int, change: str, rng: Random) -> int:
-    return byte ^ (1 << rng.randrange(8) if change == BIT else rng.randrange(1, 256))
+    return byte ^ (1 << rng.randrange(8) if change == faults.BIT else rng.randrange(1, 256))
 
 
 SEEN, SWALLOWED = "seen", "swallowed"
@@ -267,11 +250,11 @@ class Injector:
         Time at which the plan comes into force, on the clock of `now_s` in `process_frame`.
     """
 
-    def __init__(self, plan: Plan, line: str, start_s: float = 0.0) -> None:
+    def __init__(self, plan: faults.Plan, line: str, start_s: float = 0.0) -> None:
         self.plan = plan
         self.line = line
         self._start_s = start_s
-        self._silences: dict[Direction, tuple[float, RuleState]] = {}
+        self._silences: dict[faults.Direction, tuple[float, RuleState]] = {}
         self._states = [
             RuleState(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules if rule.acts_on(line)
         ]
@@ -291,7 +274,7 @@ class Injector:
             state.tally.clear()
 
     def process_frame(
-        self, data: bytes, command: str, direction: Direction, now_s: float, nak: bytes = LINE_NAK
+        self, data: bytes, command: str, direction: faults.Direction, now_s: float, nak: bytes = LINE_NAK
     ) -> list[Delivery]:
         """Apply the rules to a frame.
 
@@ -324,11 +307,11 @@ class Injector:
             match state.next_fault(command, direction, now_s - self._start_s):
                 case None:
                     continue
-                case HangUp() as fault:
+                case faults.HangUp() as fault:
                     return [Delivery(delay_s, data[: fault.keep], hang_up=True)]
-                case Nak() if direction is Direction.REQUEST:
+                case faults.Nak() if direction is faults.Direction.REQUEST:
                     return [Delivery(delay_s, nak, to_sender=True)]
-                case Delay() as fault:
+                case faults.Delay() as fault:
                     delay_s += max(0.0, fault.delay_s + fault.jitter_s * state.rng.uniform(-1.0, 1.0))
                 case fault:
                     data = self._apply(data, fault, state, now_s, nak)
@@ -337,20 +320,20 @@ class Injector:
         return [Delivery(delay_s, data)]
 
     def _apply(
-        self, data: bytes, fault: Alteration | Drop | Blackout | Nak | Noise, state: RuleState, now_s: float,
-        nak: bytes,
-    ) -> bytes:
+        self, data: bytes, fault: faults.Alteration | faults.Drop | faults.Blackout | faults.Nak | faults.Noise,
+        state: RuleState, now_s: float, nak: bytes,
+    ) -> bytes:  # fmt: skip
         """Return the bytes after a fault, empty if it drops the frame."""
         match fault:
-            case Drop():
+            case faults.Drop():
                 return b""
-            case Blackout():
+            case faults.Blackout():
                 silence = (now_s + fault.silence_s, state)
                 self._silences.update(dict.fromkeys(state.rule.directions, silence))
                 return b""
-            case Nak():
+            case faults.Nak():
                 return nak
-            case Noise():
+            case faults.Noise():
                 return add_noise(data, fault, state.rng, state.tally)
             case _:
                 return alter_bytes(data, fault, state.rng)
@@ -359,13 +342,13 @@ class Injector:
 class RuleState:
     """Counters and random stream of a rule on one line."""
 
-    def __init__(self, rule: Rule, rng: Random) -> None:
+    def __init__(self, rule: faults.Rule, rng: Random) -> None:
         self.rule = rule
         self.rng = rng
         self.tally: Counter[str] = Counter()
         self._number = 0
 
-    def next_fault(self, command: str, direction: Direction, elapsed_s: float) -> Fault | None:
+    def next_fault(self, command: str, direction: faults.Direction, elapsed_s: float) -> faults.Fault | None:
         """Count a frame, and return the fault to apply to it, or None."""
         rule = self.rule
         # 1. Frames of other commands, directions and times are not counted.
@@ -378,7 +361,7 @@ class RuleState:
         # 2. With several kinds one is drawn each time.
         fault = rule.faults[0] if len(rule.faults) == 1 else self.rng.choice(rule.faults)
         # 3. Noise counts itself, because it may change nothing.
-        if not isinstance(fault, Noise):
+        if not isinstance(fault, faults.Noise):
             self.tally[fault.kind] += 1
         return fault
 
@@ -429,7 +412,7 @@ class LineLanguage:
         """Return GREETING for the handshake, the last command for a NAK, else the command of the type byte."""
         if self._greets:
             self._greets = False
-            return GREETING
+            return faults.GREETING
         return self._last_command if piece.type == NAK_TYPE else _line_name(piece)
 
 
@@ -487,16 +470,13 @@ class FaultyLine:
     def __init__(self, language: Language, injector: Callable[[], Injector]) -> None:
         self.injector = injector
         self._language = language
+        # Time after which an incomplete request is passed on; None for no limit.
+        self.partial_timeout_s = language.partial_timeout_s
 
     @property
     def has_partial_request(self) -> bool:
         """Return True if an incomplete request is buffered."""
         return self._language.requests.pending_bytes > 0
-
-    @property
-    def partial_timeout_s(self) -> float | None:
-        """Return the time after which an incomplete request is passed on; None for no limit."""
-        return self._language.partial_timeout_s
 
     def request(self, data: bytes, now_s: float, whole: bool = False) -> list[Delivery]:
         """Return the deliveries for bytes to the robot; `whole`: they end with a frame, so that none is buffered."""
@@ -519,7 +499,7 @@ class FaultyLine:
         language, found = self._language, []
         for piece in pieces:
             name = language.request_name(piece)
-            deliveries = self.injector().process_frame(piece.data, name, Direction.REQUEST, now_s, language.nak)
+            deliveries = self.injector().process_frame(piece.data, name, faults.Direction.REQUEST, now_s, language.nak)
             # A refused or dropped request gets no reply from the robot, so none may be expected.
             if any(not delivery.to_sender for delivery in deliveries):
                 language.request_delivered(name)
@@ -530,7 +510,7 @@ class FaultyLine:
         language, found = self._language, []
         for piece in pieces:
             name = language.reply_name(piece)
-            found += self.injector().process_frame(piece.data, name, Direction.REPLY, now_s, language.nak)
+            found += self.injector().process_frame(piece.data, name, faults.Direction.REPLY, now_s, language.nak)
         return found
 
 

@@ -28,16 +28,6 @@ from construct import ConstructError
 from nclient.errors import WireError, suggest
 from nclient.protocol import commands, layouts, serial_framing
 from nclient.protocol import replies as shape
-from nclient.protocol.layouts import (
-    HISTORY_BYTE,
-    LASER_MODE_BYTE,
-    LINE_BYTE,
-    LINE_SIGNED,
-    LINE_UNSIGNED,
-    Fields,
-    check_laser,
-    checked_readings,
-)
 from nclient.protocol.replies import Reply, TcpLayout, summarize_error
 from nclient.protocol.serial_framing import SerialFrame
 from nclient.protocol.types import LINES, NO_STAMP, POINTS, STAMP_KEYS, TCP_LINE_MODES, Mask, Stamp, WireState
@@ -164,11 +154,6 @@ class TcpFramer:
         message_type, count = _HEADER.unpack_from(self._buffer)
         return message_type in _CONNECT_TYPES and len(self._buffer) == _HEADER.size + _WORD_SIZE * count
 
-    def reread_as_narrow(self) -> list[TcpFrame | InvalidFrame]:
-        """Read the buffer as messages of a 32-bit client, and return them."""
-        self.wide = False
-        return self.receive(b"")
-
     def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
         """Add bytes, and return the frames and rejected frames that they complete, in order."""
         if self._lost and self._drop_after_loss:
@@ -241,8 +226,8 @@ MAX_BYTE = 255
 # Serial numbers are sign-magnitude, so that a signed one ends at -0x7FFF.
 _SIGNED, _UNSIGNED, _BYTE = (-0x7FFF, 0x7FFF), (0, 0xFFFF), (0, MAX_BYTE)
 _RANGES = (
-    (LINE_SIGNED, _SIGNED), (LINE_UNSIGNED, _UNSIGNED),
-    (LINE_BYTE, _BYTE), (HISTORY_BYTE, _BYTE), (LASER_MODE_BYTE, _BYTE),
+    (layouts.LINE_SIGNED, _SIGNED), (layouts.LINE_UNSIGNED, _UNSIGNED),
+    (layouts.LINE_BYTE, _BYTE), (layouts.HISTORY_BYTE, _BYTE), (layouts.LASER_MODE_BYTE, _BYTE),
 )  # fmt: skip
 # Range of an argument that has another form on the serial line, such as the flags of ws.
 _FREE = (-(1 << 31), (1 << 31) - 1)
@@ -256,7 +241,7 @@ def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
     Empty for unknown commands, packets and commands of variable length.
     """
     row = commands.BY_NAME.get(name)
-    if row is None or row.packet_type is not None or row.any_length or not isinstance(row.line_request, Fields):
+    if row is None or row.packet_type is not None or row.any_length or not isinstance(row.line_request, layouts.Fields):
         return ()
     bounds = []
     for argument in row.arguments:
@@ -402,7 +387,7 @@ def build_tcp_payload(layout: TcpLayout, reply: Reply, wire_state: WireState) ->
             if reply.laser is None:
                 words.append(0)
             else:
-                check_laser(reply.laser, layout.laser_width(wire_state), "laser")
+                layouts.check_laser(reply.laser, layout.laser_width(wire_state), "laser")
                 words += reply.laser
         code = f"{len(words)}i"
         # 2. Stamps and clock, whose times are unsigned.
@@ -437,7 +422,7 @@ def parse_tcp_payload(layout: TcpLayout, payload: bytes, wire_state: WireState) 
             size = 1
             if words[at]:
                 # The number is checked before it is multiplied: a corrupt one must not allocate memory.
-                size += checked_readings(words[at], "laser") * layout.laser_width(wire_state)
+                size += layouts.checked_readings(words[at], "laser") * layout.laser_width(wire_state)
             laser = words[at : at + size]
             at += size
         # 2. Stamps and clock, whose times are unsigned.

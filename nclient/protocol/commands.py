@@ -78,28 +78,17 @@ class Command:
 
 
 def _row(
-    name: str,
-    method: str,
-    types: tuple[int | None, int | None],
-    arguments: Iterable[Argument],
-    reply: tuple[TcpLayout, LineLayout],
-    summary: str,
-    **special: Any,
-) -> Command:
+    name: str, method: str, types: tuple[int | None, int | None], arguments: Iterable[Argument],
+    reply: tuple[TcpLayout, LineLayout], summary: str, **special: Any
+) -> Command:  # fmt: skip
     arguments = tuple(arguments)
     count = len(arguments)
     are_flags = [argument.is_flag for argument in arguments]
     fields: dict[str, Any] = {
-        "tcp_request": layouts.FlagWords(are_flags) if any(are_flags) else None,
-        "tcp_words": (count, count),
-        "line_request": layouts.Fields(*[a.name / a.line for a in arguments]),
-        "line_models": ALL,
-        "line_timeout_s": 1.0,
-        "extra_arguments": None,
-        "packet_type": None,
-        "has_tcp_reply": True,
-        "any_length": False,
-    }
+        "tcp_request": layouts.FlagWords(are_flags) if any(are_flags) else None, "tcp_words": (count, count),
+        "line_request": layouts.Fields(*[a.name / a.line for a in arguments]), "line_models": ALL,
+        "line_timeout_s": 1.0, "extra_arguments": None, "packet_type": None, "has_tcp_reply": True, "any_length": False,
+    }  # fmt: skip
     return Command(
         name, method, summary, arguments, types[0],
         tcp_reply=reply[0], line_type=types[1], line_reply=reply[1], **(fields | special)

@@ -15,30 +15,16 @@ Also here: guessing the robot's model from a state packet that does not fit, for
 
 import struct
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 from nclient.errors import WireError
-from nclient.protocol import client_state, codec, serial_framing
+from nclient.protocol import client_state, codec, serial_framing, types
 from nclient.protocol import replies as shape
 from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
 from nclient.protocol.codec import TcpFrame, reply_bounds, request_bounds
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
 from nclient.protocol.replies import LINE_STATE, Reply, TcpLayout
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    CPU_RANGE_V,
-    MODELS,
-    MOTOR_RANGE_V,
-    N150,
-    N200,
-    SCOUT,
-    Model,
-    WireState,
-    serial_wire_state,
-    tcp_wire_state,
-    volts,
-)
+from nclient.protocol.types import N150, N200, SCOUT, Model, WireState, serial_wire_state, tcp_wire_state, volts
 
 WIRES = ("tcp", "tcp64", "serial")
 """Protocols: Nserver's for 32-bit and 64-bit clients, and the robot's own serial line."""
@@ -128,10 +114,11 @@ class WireDecoder:
             mask = list(answer.mask.smask)
             return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
         # 2. A reply changes the client's state, which is shown as a whole.
-        self.client_state.apply_reply(answer.reply)
+        reply, name = answer
+        self.client_state.apply_reply(reply)
         # A 64-bit client stores words without sign extension.
-        reply = zero_extend(answer.reply) if self._wide else answer.reply
-        fields = describe_client_state(self.client_state) | _reply_values(reply, answer.name)
+        shown = zero_extend(reply) if self._wide else reply
+        fields = describe_client_state(self.client_state) | _reply_values(shown, name)
         return {"to": "host", "reply": reply.kind} | fields
 
 
@@ -155,13 +142,10 @@ def describe_client_state(client_state: ClientState) -> dict[str, Any]:
     """Return the client's state as a dictionary, None where unset. Volts as single-precision floats, as in C."""
     cpu, motors = client_state.volts or (None, None)
     return {
-        "State": list(client_state.slots),
-        "Laser": None if client_state.laser is None else list(client_state.laser),
-        "positions": {name: list(stamp) for name, stamp in client_state.stamps.items()},
-        "clock": client_state.clock,
-        "volt_cpu": _shown_volts(cpu, CPU_RANGE_V),
-        "volt_motor": _shown_volts(motors, MOTOR_RANGE_V),
-    }
+        "State": list(client_state.slots), "Laser": None if client_state.laser is None else list(client_state.laser),
+        "positions": {name: list(stamp) for name, stamp in client_state.stamps.items()}, "clock": client_state.clock,
+        "volt_cpu": _shown_volts(cpu, types.CPU_RANGE_V), "volt_motor": _shown_volts(motors, types.MOTOR_RANGE_V),
+    }  # fmt: skip
 
 
 def _shown_volts(raw: int | None, full_range_v: float) -> float | None:
@@ -208,14 +192,6 @@ def _arm_values(values: list[int], name: str | None) -> dict[str, int]:
     return fields
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """A reply, and the C name of its request if that is certain."""
-
-    reply: Reply
-    name: str | None
-
-
 class _TcpEnds:
     """Nserver over TCP: replies do not name their request, so the outstanding requests are queued."""
 
@@ -231,7 +207,8 @@ class _TcpEnds:
         if row.has_tcp_reply and row.tcp_type is not None:
             self._outstanding.append((row, self.wire_state.copy()))
 
-    def answer(self, data: bytes) -> _Answer:
+    def answer(self, data: bytes) -> tuple[Reply, str | None]:
+        """Return a reply, and the C name of its request if that is certain."""
         # 1. One frame.
         frame = codec.parse_single_frame(data, reply_bounds, self.wire_state.wide)
         # 2. The first outstanding request that fits; earlier ones got no reply and are discarded.
@@ -240,9 +217,9 @@ class _TcpEnds:
             if reply:
                 for _ in range(place + 1):
                     self._outstanding.popleft()
-                return _Answer(reply, row.name)
+                return reply, row.name
         # 3. No outstanding request fits: the type alone decides.
-        return _Answer(self._by_type(frame), None)
+        return self._by_type(frame), None
 
     def _by_type(self, frame: TcpFrame) -> Reply:
         *others, last = BY_REPLY_TYPE[SAME_SHAPE.get(frame.type, frame.type)]
@@ -280,7 +257,7 @@ class _LineEnds:
     def expect(self, row: Command) -> None:
         self._request = row
 
-    def answer(self, data: bytes) -> _Answer | client_state.Handshake:
+    def answer(self, data: bytes) -> tuple[Reply, str | None] | client_state.Handshake:
         try:
             frame = serial_framing.parse_single_frame(data)
             reply = codec.decode_serial_reply(frame, self.wire_state)
@@ -298,7 +275,7 @@ class _LineEnds:
         row = BY_LINE_TYPE.get(frame.type)
         if self._request and self._request.line_type == frame.type:
             row = self._request
-        return _Answer(reply, row.name if row else None)
+        return reply, row.name if row else None
 
 
 _Ends = _TcpEnds | _LineEnds
@@ -313,7 +290,7 @@ def guess_model(data: bytes) -> Model | None:
     # An N150 and a Scout send packets of the same length; the bumper bits differ.
     fixed = _read(data, N150)
     if fixed is not None:
-        return N150 if fixed.slots[BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
+        return N150 if fixed.slots[types.BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
     return N200 if _read(data, N200) or _read(data, N200, _LINE_MODE) else None
 
 
@@ -322,7 +299,7 @@ def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
     guess = guess_model(data) if data is not None else None
     # No guess: name the other models.
     if guess is None:
-        others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
+        others = " or ".join(f"model={name}" for name in types.MODELS if name != model.name)
         return f"is it a {model.name}? Else write {others} in the address"
     if guess is model:
         return ""

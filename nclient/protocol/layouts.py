@@ -75,10 +75,6 @@ def wire_state_of(context: Any) -> WireState:
 def take(stream: Any, count: int, path: str) -> bytes:
     """Read `count` bytes; StreamError if there are fewer."""
     data: bytes = stream.read(count)
-    return data if len(data) == count else _exactly(data, count, path)
-
-
-def _exactly(data: bytes, count: int, path: str) -> bytes:
     if len(data) != count:
         raise StreamError(f"{count} bytes wanted, {len(data)} there", path=path)
     return data
@@ -166,9 +162,6 @@ class Number(Construct):
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         stream.write(_packed(self.run, (obj,), path))
         return obj
-
-    def _sizeof(self, context: Any, path: str) -> int:
-        return self.run.octets
 
 
 LINE_SIGNED = Number(SIGNED_SHORTS)
@@ -599,8 +592,8 @@ class ArmPacket(Adapter):
         size = 4 + sum(element.sizeof() for element in elements)
         head = (Const(size, Int16ul), LINE_BYTE, Const(packet_type, LINE_BYTE))
         super().__init__(Fields(*head, *elements))
-        self.octets = size
         self.elements = elements
+        self.octets = size
 
     def _decode(self, obj: Sequence[int], context: Any, path: str) -> tuple[int, ...]:
         return tuple(obj[3:])

@@ -21,19 +21,8 @@ from typing import Any, Final, NamedTuple
 from construct import Construct, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol import layouts
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    COMPASS_SLOT,
-    LASER_SLOT,
-    LINES,
-    PIXELS,
-    Mask,
-    Position,
-    Stamp,
-    WireState,
-    line_laser_width,
-)
+from nclient.protocol import layouts, types
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LINES, Mask, Position, Stamp, WireState, line_laser_width
 
 MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
@@ -189,13 +178,9 @@ class LineLayout:
     def build(self, reply: Reply, wire_state: WireState) -> bytes:
         """Return the bytes of a reply. Raises WireError if its values do not fit this layout."""
         parts = {
-            "slots": reply.slots,
-            "stamps": reply.stamps,
-            "laser": reply.laser,
-            "clock": reply.clock or 0,
-            "values": reply.values,
-            "volts": reply.volts or (0, 0),
-        }
+            "slots": reply.slots, "stamps": reply.stamps, "laser": reply.laser, "clock": reply.clock or 0,
+            "values": reply.values, "volts": reply.volts or (0, 0),
+        }  # fmt: skip
         stream, context = BytesIO(), _Context(wire_state)
         try:
             for name, part, _, build, _ in self._present_members(wire_state.mask):
@@ -217,25 +202,16 @@ def summarize_error(error: Exception) -> str:
 # Layouts over TCP (docs/protocol.md). A state reply is the State vector of 45 words, the laser block, stamps for
 # the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
 STATE = TcpLayout(
-    "state",
-    slots=range(LAST_TCP_SLOT + 1),
-    laser_width=attrgetter("laser_width"),
-    stamps=tuple(Position),
-    has_clock=True,
-    has_volts=True,
-)
+    "state", slots=range(LAST_TCP_SLOT + 1), laser_width=attrgetter("laser_width"), stamps=tuple(Position),
+    has_clock=True, has_volts=True,
+)  # fmt: skip
 # get_ir, get_sn: 16 values, stamps, clock. get_bp, get_cp: one value, stamp, clock.
 INFRARED = TcpLayout("infrared", slots=range(1, 17), stamps=(Position.INFRARED,), has_clock=True)
 SONAR = TcpLayout("sonar", slots=range(17, 33), stamps=(Position.SONAR,), has_clock=True)
 BUMPER = TcpLayout("bumper", slots=(BUMPER_SLOT,), stamps=(Position.BUMPER,), has_clock=True)
 COMPASS = TcpLayout("compass", slots=(COMPASS_SLOT,), stamps=(Position.COMPASS,), has_clock=True)
 # get_ls and get_sg: laser block, stamp, clock.
-LASER = TcpLayout(
-    "laser",
-    laser_width=attrgetter("get_laser_width"),
-    stamps=(Position.LASER,),
-    has_clock=True,
-)
+LASER = TcpLayout("laser", laser_width=attrgetter("get_laser_width"), stamps=(Position.LASER,), has_clock=True)
 SEGMENTS = TcpLayout("laser", laser_width=lambda _: LINES, stamps=(Position.LASER,), has_clock=True)
 # get_rc: x y steering turret; get_rv, get_ra: three values; predict_sensors: words 0..43 and a laser block.
 CONFIGURATION = TcpLayout("configuration", slots=range(34, 38))
@@ -263,8 +239,8 @@ LINE_STATE = LineLayout(
     slots_pose=layouts.LineSlots(34, 40, layouts.SIGNED_SHORTS),
     slots_compass=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SIGNED_SHORTS),
     stamps_compass=layouts.LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
-    laser=layouts.LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
-    stamps_laser=layouts.LineStamps(Position.LASER, (LASER_SLOT,)),
+    laser=layouts.LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=types.LASER_SLOT),
+    stamps_laser=layouts.LineStamps(Position.LASER, (types.LASER_SLOT,)),
     slots_motors=layouts.LineSlots(MOTOR_SLOT, MOTOR_SLOT, layouts.BYTES, masked=False),
     clock=layouts.LINE_CLOCK,
     volts=layouts.LineRun(2, layouts.BYTES),
@@ -282,7 +258,7 @@ LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=layouts.BumperBytes(B
 LINE_COMPASS = _line_query(
     "compass", Position.COMPASS, slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False)
 )
-LINE_LASER = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: PIXELS))
+LINE_LASER = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: types.PIXELS))
 LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: LINES))
 LINE_CONFIGURATION = LineLayout("configuration", slots=layouts.LineSlots(34, 37, layouts.SIGNED_SHORTS, masked=False))
 LINE_VELOCITY = LineLayout("velocity", slots=layouts.LineSlots(38, 40, layouts.SIGNED_SHORTS, masked=False))

@@ -17,30 +17,15 @@ from datetime import datetime
 from typing import Any, Final, NamedTuple
 
 from nclient.errors import RecordingError, WireError, version
-from nclient.protocol import codec
+from nclient.protocol import codec, types
 from nclient.protocol.codec import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.decode import TO_HOST, TO_ROBOT, WireDecoder
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import (
-    M_PER_IN,
-    MAX_SONAR_IN,
-    MODELS,
-    N150,
-    SCOUT,
-    SCOUT_WHEEL_IN_PER_DEG,
-    SONAR_RING_IN,
-    SONAR_SLOTS,
-    Model,
-    heading_tenths,
-    tcp_wire_state,
-    tenths,
-    tenths_from_rad,
-    wrap_word,
-)
+from nclient.protocol.types import M_PER_IN, Model, heading_tenths, tcp_wire_state, tenths, tenths_from_rad, wrap_word
 from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, Recording, as_object
 
-RING: Final = tuple(math.tau * k / SONAR_SLOTS for k in range(SONAR_SLOTS))
+RING: Final = tuple(math.tau * k / types.SONAR_SLOTS for k in range(types.SONAR_SLOTS))
 """Directions of a Nomad's sonars from ahead, counter-clockwise."""
 _TENTH_M: Final = M_PER_IN / 10
 # Places in the State vector (docs/protocol.md).
@@ -108,7 +93,7 @@ class Drive:
     directions_rad: tuple[float, ...] = RING
     ring_m: float = 0.0
     start_s: float = 0.0
-    model: Model = N150
+    model: Model = types.N150
     traffic: list[str] = field(default_factory=list)
     omitted: list[str] = field(default_factory=list)
 
@@ -141,7 +126,7 @@ def drive_of_recording(recording: Recording, lines: Sequence[str]) -> Drive:
     for name in names:
         entries = [entry for entry in recording.entries if entry.connection == name]
         opened = dict(recording.header) | dict(next((entry.more for entry in entries if entry.kind == "open"), {}))
-        drive.model = MODELS.get(str(opened.get("model", "")).lower(), N150)
+        drive.model = types.MODELS.get(str(opened.get("model", "")).lower(), types.N150)
         drive.samples = list(_samples(entries, drive.model, str(opened.get("wire", "tcp"))))
         if drive.samples:
             others = [other for other in names if other != name]
@@ -188,15 +173,15 @@ def _sample(frame: Any, time_s: float, model: Model) -> Sample | None:
     x, y, steer, turret = state[_POSE]
     right, left, _ = state[_SPEEDS]
     speed, turn = float(right), float(left)
-    if model is SCOUT:
+    if model is types.SCOUT:
         # Velocities of the wheels: half of their sum drives, half of their difference turns.
-        speed, turn = (right + left) / 2, (right - left) / 2 / SCOUT_WHEEL_IN_PER_DEG
-    sonars = state[_SONARS : _SONARS + SONAR_SLOTS]
-    has_sonars = None not in slots[_SONARS : _SONARS + SONAR_SLOTS]
+        speed, turn = (right + left) / 2, (right - left) / 2 / types.SCOUT_WHEEL_IN_PER_DEG
+    sonars = state[_SONARS : _SONARS + types.SONAR_SLOTS]
+    has_sonars = None not in slots[_SONARS : _SONARS + types.SONAR_SLOTS]
     cpu, motors = frame.get("volt_cpu"), frame.get("volt_motor")
     return Sample(
         time_s, x * _TENTH_M, y * _TENTH_M, _rad(steer), _rad(turret), speed * _TENTH_M, _rad(turn),
-        tuple(math.inf if value >= MAX_SONAR_IN else value * M_PER_IN for value in sonars) if has_sonars else (),
+        tuple(math.inf if value >= types.MAX_SONAR_IN else value * M_PER_IN for value in sonars) if has_sonars else (),
         state[_BUMPER], None if cpu is None or motors is None else (cpu, motors),
     )
 
@@ -207,7 +192,7 @@ def _rad(value_tenths: float) -> float:
 
 def ring_of(drive: Drive) -> float:
     """Return the distance of the sonars from the axis in metres, if they are a Nomad's; else 0."""
-    return SONAR_RING_IN[drive.model.name] * M_PER_IN if drive.directions_rad == RING else 0.0
+    return types.SONAR_RING_IN[drive.model.name] * M_PER_IN if drive.directions_rad == RING else 0.0
 
 
 def recording_of_drive(drive: Drive) -> list[str]:
@@ -242,9 +227,9 @@ def state_reply(drive: Drive, sample: Sample) -> Reply:
     """Return a sample as the reply that a robot would have sent."""
     turret = sample.heading_rad if sample.turret_rad is None else sample.turret_rad
     speeds = (tenths(sample.speed_m_s / M_PER_IN), tenths_from_rad(sample.turn_rad_s), 0)
-    if drive.model is SCOUT:
+    if drive.model is types.SCOUT:
         # Wheels: the sum drives, the difference turns.
-        turn = math.degrees(sample.turn_rad_s) * SCOUT_WHEEL_IN_PER_DEG
+        turn = math.degrees(sample.turn_rad_s) * types.SCOUT_WHEEL_IN_PER_DEG
         speeds = (tenths(sample.speed_m_s / M_PER_IN + turn), tenths(sample.speed_m_s / M_PER_IN - turn), 0)
     slots = {
         0: 10,
@@ -260,16 +245,16 @@ def state_reply(drive: Drive, sample: Sample) -> Reply:
 
 
 def _sonar_in(range_m: float) -> int:
-    return MAX_SONAR_IN if not range_m < MAX_SONAR_IN * M_PER_IN else max(0, round(range_m / M_PER_IN))
+    return types.MAX_SONAR_IN if not range_m < types.MAX_SONAR_IN * M_PER_IN else max(0, round(range_m / M_PER_IN))
 
 
 def nomad_ring(drive: Drive, sample: Sample) -> tuple[float, ...]:
     """Return the reading nearest in direction to each of a Nomad's sixteen sonars; inf where none is near."""
     if not sample.ranges_m:
-        return (math.inf,) * SONAR_SLOTS
+        return (math.inf,) * types.SONAR_SLOTS
     if drive.directions_rad == RING:
         return sample.ranges_m
-    half_step = math.pi / SONAR_SLOTS
+    half_step = math.pi / types.SONAR_SLOTS
     found = []
     for wanted in RING:
         apart, k = min((abs(math.remainder(angle - wanted, math.tau)), k)

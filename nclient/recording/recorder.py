@@ -234,11 +234,9 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        log: RecordingWriter,
-        clock: Callable[[], float] | None = None,
+        self, log: RecordingWriter, clock: Callable[[], float] | None = None,
         line_clock: Callable[[], float] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._log = log
         self._clock = clock
         self.line_clock = line_clock
@@ -307,9 +305,7 @@ class Recorder:
 class _ConnectionRecorder:
     """ConnectionRecorder that writes to a Recorder."""
 
-    def __init__(
-        self, recorder: Recorder, name: str, decoder: FrameDecoder, clock: Callable[[], float] | None
-    ) -> None:
+    def __init__(self, recorder: Recorder, name: str, decoder: FrameDecoder, clock: Callable[[], float] | None) -> None:
         self._recorder, self._name, self._decoder = recorder, name, decoder
         self._clock = clock
         self._closed = False
@@ -428,14 +424,9 @@ class ClientRecording:
     """
 
     def __init__(
-        self,
-        path: Path,
-        address: str,
-        line: str,
-        model: Model,
-        clock: Callable[[], float] | None = None,
+        self, path: Path, address: str, line: str, model: Model, clock: Callable[[], float] | None = None,
         started: datetime | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         header = {
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),

@@ -243,14 +243,11 @@ class Player:
 
     def __init__(self, connection: RecordedConnection, order: str = STRICT) -> None:
         self._connection = connection
+        # What the robot sends before the first request.
+        self.initial = connection.initial
         self._loose = order == LOOSE
         self._reader = RequestReader(connection.line, connection.model)
         self._next = 0
-
-    @property
-    def initial(self) -> list[ReplyChunk]:
-        """Return what the robot sends before the first request."""
-        return self._connection.initial
 
     @property
     def remaining(self) -> int:

@@ -29,17 +29,7 @@ from nclient.errors import RecordingError, suggest
 from nclient.recording import ros_messages
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording
 from nclient.recording.format import parse_recording
-from nclient.recording.ros_messages import (
-    BATTERY,
-    NUMBER,
-    ODOMETRY,
-    SCAN,
-    TEXT,
-    TF,
-    TF_STATIC,
-    TRANSFORMS,
-    MessageBuilder,
-)
+from nclient.recording.ros_messages import BATTERY, NUMBER, ODOMETRY, SCAN, TF, TF_STATIC, TRANSFORMS, MessageBuilder
 
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRAFFIC: Final = "/nomad/recording"
@@ -47,7 +37,7 @@ TRAFFIC: Final = "/nomad/recording"
 _ROBOT: Final = "robot1"
 _BUMPERS, _SONAR = f"/{_ROBOT}/bumpers", f"/{_ROBOT}/sonar"
 _BATTERIES: Final = (f"/{_ROBOT}/battery/cpu", f"/{_ROBOT}/battery/motors")
-_OWN: Final = {TRAFFIC: TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, TF_STATIC: TRANSFORMS,
+_OWN: Final = {TRAFFIC: ros_messages.TEXT, _BUMPERS: NUMBER, TF: TRANSFORMS, TF_STATIC: TRANSFORMS,
                **dict.fromkeys(_BATTERIES, BATTERY)}  # fmt: skip
 """Topics of `write` that others do not have, with their types."""
 MAX_RECORD_BYTES: Final = 1 << 28
@@ -132,7 +122,7 @@ def _messages(drive: Drive) -> Iterator[Message]:
     start_ns, ring_m = round(drive.start_s * 1e9), drive.ring_m
     first_ns = start_ns + round(drive.samples[0].time_s * 1e9)
     for line in drive.traffic:
-        yield Message(first_ns, TRAFFIC, TEXT, {"data": line})
+        yield Message(first_ns, TRAFFIC, ros_messages.TEXT, {"data": line})
     if ring_m:
         mounts = [(ring_m * math.cos(angle), ring_m * math.sin(angle), angle) for angle in drive.directions_rad]
         frames = ros_messages.sonar_frames(first_ns, _ROBOT, mounts)

@@ -152,11 +152,9 @@ class MessageBuilder:
     """
 
     def __init__(
-        self,
-        store: Typestore,
-        class_of: Callable[[str], Callable[..., Any]],
+        self, store: Typestore, class_of: Callable[[str], Callable[..., Any]],
         array_of: Callable[[Sequence[Any], str], Any] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         from rosbags.interfaces import Nodetype  # here: the extra ros2; the messages above need none
 
         self._kinds: Any = Nodetype

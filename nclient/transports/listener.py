@@ -29,7 +29,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.stream import ByteStream, Deadline, TcpStream
@@ -247,21 +247,6 @@ def _peek(connection: PendingConnection) -> bytes | None:
         return b""
 
 
-class Listener(Protocol):
-    """A place that programs connect to; `name` is what they connect to."""
-
-    name: str
-
-    def accept(self) -> ByteStream:
-        """Wait for the next connection and return it."""
-
-    def has_pending_request(self) -> bool:
-        """Return True if a connection that is not served yet has sent something."""
-
-    def close(self) -> None:
-        """Stop listening. May be called twice."""
-
-
 class TcpListener:
     """A TCP port of this machine.
 
@@ -279,12 +264,9 @@ class TcpListener:
     """
 
     def __init__(
-        self,
-        host: str,
-        port: int,
-        refusal: Callable[[str, str], str] = lambda _, __: "",
+        self, host: str, port: int, refusal: Callable[[str, str], str] = lambda _, __: "",
         on_rejected: Callable[[str, str], None] = lambda _, __: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         try:
             # The backlog of the kernel is as long as the queue.
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -418,3 +400,7 @@ class _PtyStream:
 
     def _disconnected(self) -> ConnectionLost:
         return ConnectionLost(f"the program at {self.name} has disconnected")
+
+
+Listener = TcpListener | PtyListener
+"""A place that programs connect to; `name` is what they connect to."""

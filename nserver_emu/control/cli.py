@@ -20,15 +20,8 @@ from nclient.common.arguments import Parser, add_flag
 from nclient.common.process import ExitCode
 from nclient.errors import ConnectionLost, ControlError, NomadError, suggest
 from nclient.faults.plan import read_plan
-from nserver_emu.control.commands import (
-    BY_NAME,
-    COMMANDS,
-    MAX_LINE,
-    MAX_SPEED,
-    ControlCommand,
-    default_path,
-    socket_path,
-)
+from nserver_emu.control import commands
+from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_LINE, ControlCommand, default_path, socket_path
 from nserver_emu.simulation.noise import PARTS, SETUPS
 from worlds.io import read_world_text
 
@@ -252,14 +245,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
+    listed = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
     parser = Parser(
         prog="nserver ctl",
         usage="nserver ctl [-h] [--control PATH] [--json] COMMAND [ARGUMENT]",
         description="Send a command to a server that was started with --control.\n\n"
         "    nserver ctl status\n    nserver ctl --control /tmp/nomad.ctl faults set plan.toml\n"
         "    nserver ctl step 0.5 --json",
-        epilog=f"commands:\n{commands}",
+        epilog=f"commands:\n{listed}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_options(parser)
@@ -273,7 +266,7 @@ def _parser() -> argparse.ArgumentParser:
 _FILES: Final = frozenset({"FILE", "WORLD"})
 # Values that an argument may have, by command.
 _CHOICES: Final[Mapping[str, Iterable[str]]] = MappingProxyType({
-    "noise": [f"{part}={setup}" for part in PARTS for setup in SETUPS], "speed": [MAX_SPEED],
+    "noise": [f"{part}={setup}" for part in PARTS for setup in SETUPS], "speed": [commands.MAX_SPEED],
 })  # fmt: skip
 
 

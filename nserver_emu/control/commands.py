@@ -26,11 +26,11 @@ import stat
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from nclient.errors import ConnectionLost, ControlError, NomadError, suggest, version
 from nclient.faults.inject import total
@@ -38,9 +38,9 @@ from nclient.faults.plan import MAX_BYTES, load_plan, parse_plan, plan_text
 from nserver_emu.control import snapshot
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import runtime_settings
-from nserver_emu.server.handlers.table import MAX_STEP_MS, Emulator
+from nserver_emu.server.handlers.table import MAX_STEP_MS
 from nserver_emu.server.serial_session import FaultController
-from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR, ServerState
+from nserver_emu.server.server_state import MAX_TIME_FACTOR, MIN_TIME_FACTOR
 from worlds.world import World
 
 log = logging.getLogger(__name__)
@@ -54,34 +54,6 @@ OPERATOR: Final = "nserver ctl"
 JsonObject = dict[str, Any]
 
 
-class ControlledServer(Protocol):
-    """The parts of a server that are controlled."""
-
-    emulator: Emulator
-    faults: FaultController
-
-    def step(self, dt_s: float) -> None:
-        """Advance simulated time."""
-
-    def record_clock(self) -> None:
-        """Record that the clock was changed."""
-
-    def record_change(self, change: Mapping[str, Any]) -> None:
-        """Record a change of the simulation (runtime_settings.py)."""
-
-    def hold(self, robot_ids: Iterable[int], by: str) -> None:
-        """Stop these robots and ignore motion commands until they are released."""
-
-    def release(self, robot_ids: Iterable[int]) -> None:
-        """Release these robots."""
-
-    def lines(self) -> Mapping[str, str]:
-        """Return the address of each line by its name."""
-
-    def connected_clients(self) -> list[JsonObject]:
-        """Return name, robot, waiting, refused, number and cpu_s of each connection."""
-
-
 @dataclass(frozen=True, slots=True)
 class ControlCommand:
     """A command."""
@@ -90,7 +62,7 @@ class ControlCommand:
     # Name of the argument: empty for none, in brackets if optional.
     argument: str
     about: str
-    run: Callable[[ControlledServer, Any], JsonObject]
+    run: Callable[[Daemon, Any], JsonObject]
 
     @property
     def requires_argument(self) -> bool:
@@ -98,7 +70,7 @@ class ControlCommand:
         return bool(self.argument) and not self.argument.startswith("[")
 
 
-def answer_line(server: ControlledServer, line: bytes) -> bytes:
+def answer_line(server: Daemon, line: bytes) -> bytes:
     """Return the response line to a request line."""
     try:
         answer = {"ok": True, "said": _execute(server, line)}
@@ -107,7 +79,7 @@ def answer_line(server: ControlledServer, line: bytes) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
-async def answer_line_in_thread(server: ControlledServer, line: bytes) -> bytes:
+async def answer_line_in_thread(server: Daemon, line: bytes) -> bytes:
     """Return the response line as `answer_line` does, and prepare a new world outside of the event loop."""
     try:
         name, argument = _request(line)
@@ -144,7 +116,7 @@ def _request(line: bytes) -> tuple[object, object]:
         raise ControlError('a request is a line such as {"command": "speed", "argument": "10"}') from None
 
 
-def _execute(server: ControlledServer, line: bytes) -> JsonObject:
+def _execute(server: Daemon, line: bytes) -> JsonObject:
     name, argument = _request(line)
     # A name of another type would not be hashable.
     row = BY_NAME.get(name) if isinstance(name, str) else None
@@ -155,7 +127,7 @@ def _execute(server: ControlledServer, line: bytes) -> JsonObject:
     return row.run(server, argument)
 
 
-def status(server: ControlledServer, _: object = None) -> JsonObject:
+def status(server: Daemon, _: object = None) -> JsonObject:
     """Return time, world, actual poses of robots, lines, clients and faults."""
     emulator, clock = server.emulator, server.emulator.clock
     simulation = emulator.simulation
@@ -191,17 +163,17 @@ def _injected(faults: FaultController) -> dict[str, int]:
 # Simulated time.
 
 
-def _pause(server: ControlledServer, _: object) -> JsonObject:
+def _pause(server: Daemon, _: object) -> JsonObject:
     server.emulator.clock.paused = True
     return _time(server)
 
 
-def _resume(server: ControlledServer, _: object) -> JsonObject:
+def _resume(server: Daemon, _: object) -> JsonObject:
     server.emulator.clock.paused = False
     return _time(server)
 
 
-def _speed(server: ControlledServer, argument: object) -> JsonObject:
+def _speed(server: Daemon, argument: object) -> JsonObject:
     if server.emulator.clock.lockstep_s is not None:
         raise ControlError("speed: in lockstep time advances with requests only; start nserver without --lockstep")
     if argument == MAX_SPEED:
@@ -212,12 +184,12 @@ def _speed(server: ControlledServer, argument: object) -> JsonObject:
     return _time(server)
 
 
-def _step(server: ControlledServer, argument: object) -> JsonObject:
+def _step(server: Daemon, argument: object) -> JsonObject:
     server.step(_number(argument, 0.0, MAX_STEP_MS / 1000, "step: seconds"))
     return _time(server)
 
 
-def _time(server: ControlledServer) -> JsonObject:
+def _time(server: Daemon) -> JsonObject:
     # State[0] shows the speed, and a recording must contain the change.
     server.emulator.invalidate_state_cache()
     server.record_clock()
@@ -228,17 +200,17 @@ def _time(server: ControlledServer) -> JsonObject:
 # Emergency stop.
 
 
-def _stop(server: ControlledServer, argument: object) -> JsonObject:
+def _stop(server: Daemon, argument: object) -> JsonObject:
     server.hold(_robots(server, argument, "stop"), OPERATOR)
     return {"held": server.emulator.estop.as_dict()}
 
 
-def _release(server: ControlledServer, argument: object) -> JsonObject:
+def _release(server: Daemon, argument: object) -> JsonObject:
     server.release(_robots(server, argument, "release"))
     return {"held": server.emulator.estop.as_dict()}
 
 
-def _robots(server: ControlledServer, argument: object, command: str) -> list[int]:
+def _robots(server: Daemon, argument: object, command: str) -> list[int]:
     """Return the robot of a number, all robots if there is no argument."""
     robot_ids = list(server.emulator.simulation.robots)
     if argument is None:
@@ -249,7 +221,7 @@ def _robots(server: ControlledServer, argument: object, command: str) -> list[in
     return [number]
 
 
-def _save(server: ControlledServer, argument: object) -> JsonObject:
+def _save(server: Daemon, argument: object) -> JsonObject:
     path = Path(_text(argument, "save: the name of a file"))
     snapshot.save(server.emulator, path)
     return {"saved": str(path)}
@@ -258,11 +230,11 @@ def _save(server: ControlledServer, argument: object) -> JsonObject:
 # Fault plans.
 
 
-def _show(server: ControlledServer, _: object) -> JsonObject:
+def _show(server: Daemon, _: object) -> JsonObject:
     return {"plan": plan_text(server.faults.plan)}
 
 
-def _set(server: ControlledServer, argument: object) -> JsonObject:
+def _set(server: Daemon, argument: object) -> JsonObject:
     """Put a plan in force; the argument is its text and the name of its file for error messages."""
     usage = "faults set: the text of a plan, and the name of its file"
     if not isinstance(argument, dict):
@@ -273,30 +245,30 @@ def _set(server: ControlledServer, argument: object) -> JsonObject:
     return {"rules": len(plan.rules)}
 
 
-def _clear(server: ControlledServer, _: object) -> JsonObject:
+def _clear(server: Daemon, _: object) -> JsonObject:
     counts = server.faults.counts()
     server.faults.clear()
     return {"counts": counts}
 
 
-def _counts(server: ControlledServer, _: object) -> JsonObject:
+def _counts(server: Daemon, _: object) -> JsonObject:
     return {"counts": server.faults.counts()}
 
 
-def _reset(server: ControlledServer, _: object) -> JsonObject:
+def _reset(server: Daemon, _: object) -> JsonObject:
     counts = server.faults.counts()
     server.faults.reset()
     return {"counts": counts}
 
 
-def _help(_served: ControlledServer, _: object) -> JsonObject:
+def _help(_served: Daemon, _: object) -> JsonObject:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
 
 # Noise, world, obstacles.
 
 
-def _noise(server: ControlledServer, argument: object) -> JsonObject:
+def _noise(server: Daemon, argument: object) -> JsonObject:
     change = runtime_settings.noise_words(argument) if isinstance(argument, str) else argument
     if not isinstance(change, dict):
         raise ControlError(f"noise: a text or an object, not {argument!r}")
@@ -305,13 +277,13 @@ def _noise(server: ControlledServer, argument: object) -> JsonObject:
     return result
 
 
-def _show_world(server: ControlledServer, _: object) -> JsonObject:
+def _show_world(server: Daemon, _: object) -> JsonObject:
     text = runtime_settings.show_world(server.emulator)
     server.record_change({"shown": True})
     return {"text": text}
 
 
-def _put_world(server: ControlledServer, argument: object, world: World | None = None) -> JsonObject:
+def _put_world(server: Daemon, argument: object, world: World | None = None) -> JsonObject:
     """Replace the world by that of a text; `world` is what was read from it already."""
     text, file = _world_text(argument)
     places = {"places": True} if isinstance(argument, dict) and argument.get("places") is True else {}
@@ -328,20 +300,16 @@ def _world_text(argument: object) -> tuple[str, str]:
     return _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
 
 
-Change = Callable[[ServerState, Mapping[str, Any]], JsonObject]
-"""A change of the world by the operator, which returns what undoes it."""
-
-
 def _change_of(
-    kind: str, change: Change, usage: str, words: Callable[[str], JsonObject] | None = None
-) -> Callable[[ControlledServer, object], JsonObject]:
+    kind: str, usage: str, words: Callable[[str], JsonObject] | None = None
+) -> Callable[[Daemon, object], JsonObject]:
     """Return the command that makes and records a change, given as JSON or, where `words` parses them, in words."""
 
-    def run(server: ControlledServer, argument: object) -> JsonObject:
+    def run(server: Daemon, argument: object) -> JsonObject:
         if words is not None and isinstance(argument, str) and not argument.lstrip().startswith("{"):
             argument = words(argument)
         wanted = _json_object(argument, usage)
-        result = change(server.emulator, wanted)
+        result = runtime_settings.CHANGES[kind](server.emulator, wanted)
         server.record_change({kind: wanted})
         return result
 
@@ -389,14 +357,13 @@ COMMANDS: Final = (
     ControlCommand("world show", "", "show the current world, as TOML", _show_world),
     ControlCommand(WORLD_SET, "WORLD", "replace the world; robots keep their poses", _put_world),
     ControlCommand("obstacle", "JSON", "move (by, to), remove or add (put) an obstacle",
-                   _change_of("obstacle", runtime_settings.change_obstacle, runtime_settings.OBSTACLE_USAGE)),
+                   _change_of("obstacle", runtime_settings.OBSTACLE_USAGE)),
     ControlCommand("wall", "JSON", "move (by, to), label (name), remove or add (put) an inner wall",
-                   _change_of("wall", runtime_settings.change_wall, runtime_settings.WALL_USAGE)),
+                   _change_of("wall", runtime_settings.WALL_USAGE)),
     ControlCommand("door", "WORDS", "open or close a door: 'kitchen open'; or add, move, remove one, as JSON",
-                   _change_of("door", runtime_settings.change_door, runtime_settings.DOOR_USAGE,
-                              runtime_settings.door_words)),
+                   _change_of("door", runtime_settings.DOOR_USAGE, runtime_settings.door_words)),
     ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route",
-                   _change_of("walker", runtime_settings.change_walker, runtime_settings.WALKER_USAGE)),
+                   _change_of("walker", runtime_settings.WALKER_USAGE)),
     ControlCommand("pause", "", "pause simulated time", _pause),
     ControlCommand("resume", "", "resume simulated time", _resume),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),

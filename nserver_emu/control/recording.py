@@ -45,7 +45,7 @@ from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import file_digest
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from nclient.common.arguments import number
 from nclient.errors import NomadError, RecordingError, SnapshotError, version
@@ -54,15 +54,7 @@ from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.control import snapshot
 from nserver_emu.server.config import SimulationConfig, read_setups
-from nserver_emu.server.handlers.runtime_settings import (
-    change_door,
-    change_obstacle,
-    change_walker,
-    change_wall,
-    put_world,
-    show_world,
-    switch_noise,
-)
+from nserver_emu.server.handlers import runtime_settings
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
 from nserver_emu.server.serial_session import SerialSession
@@ -373,13 +365,6 @@ class _NeverOpened(Exception):
     """An entry belongs to a connection that is not open."""
 
 
-class Replayer(Protocol):
-    """Follows the entries of a recording, and returns the reply for each recorded one."""
-
-    def follow(self, entry: Entry) -> bytes:
-        """Apply the next entry and return the bytes that the robot sends."""
-
-
 def replay(recording: Recording) -> ReplayResult:
     """Send the requests of a recording to an emulator that starts as its header describes, and compare the replies.
 
@@ -419,7 +404,7 @@ def replay(recording: Recording) -> ReplayResult:
     return ReplayResult(answers, size)
 
 
-def _create_replayer(recording: Recording) -> Replayer:
+def _create_replayer(recording: Recording) -> _ServerReplayer | _InProcessReplayer:
     header = recording.header
     if header.get("real_robots"):
         raise RecordingError(f"{recording.name}: recorded with real robots, which no emulator can repeat; use "
@@ -538,7 +523,7 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             emulator.clock.check()
             emulator.invalidate_state_cache()
         case "noise":
-            switch_noise(emulator, value)
+            runtime_settings.switch_noise(emulator, value)
         case "hold":
             for robot_id in value.get("robots", ()):
                 emulator.hold(robot_id, value["by"], is_silent=not value.get("informs"))
@@ -546,17 +531,11 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             for robot_id in value:
                 emulator.release(robot_id)
         case "shown":
-            show_world(emulator)
-        case "obstacle":
-            change_obstacle(emulator, value)
-        case "wall":
-            change_wall(emulator, value)
-        case "door":
-            change_door(emulator, value)
-        case "walker":
-            change_walker(emulator, value)
+            runtime_settings.show_world(emulator)
         case "world":
-            put_world(emulator, **value)
+            runtime_settings.put_world(emulator, **value)
+        case kind if kind in runtime_settings.CHANGES:
+            runtime_settings.CHANGES[kind](emulator, value)
 
 
 class _InProcessReplayer:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum
 from math import isfinite
@@ -30,7 +31,7 @@ from nclient.common.files import read_text, write_atomic
 from nclient.errors import SnapshotError, version
 from nserver_emu.server.admission import SNAPSHOT_BYTES
 from nserver_emu.server.config import MAX_ROBOTS
-from nserver_emu.server.graphics import Graphics, GraphicsState, SpeechLog, Traces, TracesState, Utterance
+from nserver_emu.server.graphics import MAX_UTTERANCES, Graphics, GraphicsState, Traces, TracesState, Utterance
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import SimulationClock, state_slots
 from nserver_emu.simulation.acoustics import Polaroid
@@ -92,7 +93,7 @@ class SnapshotState:
         """Return the state of an emulator."""
         return cls(
             emulator.simulation.to_state(), emulator.clock, emulator.graphics.to_state(), emulator.traces.to_state(),
-            emulator.transcript.utterances, {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()},
+            tuple(emulator.transcript), {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()},
         )  # fmt: skip
 
     def restore(self, emulator: Emulator) -> None:
@@ -110,16 +111,14 @@ class SnapshotState:
         if not all(0.0 <= arm.time_s <= simulation.time_s for arm in arms.values()):
             raise ValueError("an arm of another time")
         graphics, traces = Graphics.from_state(self.graphics), Traces.from_state(self.traces)
-        transcript = SpeechLog()
-        for utterance in self.transcript:
-            transcript.add(utterance)
         # 2. A trial of a second simulation and of second arms from the same state.
         validate_snapshot(self.simulation)
         for arm in self.arms.values():
             Arm.from_state(arm).advance_to(simulation.time_s + TRIAL_S)
         # 3. The emulator.
         emulator.simulation, emulator.clock, emulator.arms = simulation, self.clock, arms
-        emulator.graphics, emulator.traces, emulator.transcript = graphics, traces, transcript
+        emulator.graphics, emulator.traces = graphics, traces
+        emulator.transcript = deque(self.transcript, maxlen=MAX_UTTERANCES)
         emulator.invalidate_state_cache()
         emulator.axis_ownership.release_all(simulation.robots)
 

@@ -36,17 +36,10 @@ from typing import Any, Final
 from nclient.backends.base import Backend
 from nclient.common.files import write_errors_as
 from nclient.errors import AddressError, RecordingError, RobotRefused
+from nclient.protocol import types
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    COMPASS_SLOT,
-    EVERYTHING,
-    FULL_TURN_TENTHS,
-    Model,
-    rad_from_tenths,
-    tcp_wire_state,
-)
+from nclient.protocol.types import BUMPER_SLOT, EVERYTHING, FULL_TURN_TENTHS, Model, rad_from_tenths, tcp_wire_state
 from nserver_emu.gateway import real_robot
 from nserver_emu.gateway.real_robot import SLOW, STOP, Job, JobResult, Link, RobotWorker, whole_state
 from nserver_emu.server.estop import MOTIONS, moves
@@ -135,7 +128,7 @@ class ShadowReport:
         for slot, name in lengths:
             self.quantities[name].add((real[slot] - simulated[slot]) / 10)
         # 2. Angles.
-        for slot, name in ((_STEERING, "steering_deg"), (_TURRET, "turret_deg"), (COMPASS_SLOT, "compass_deg")):
+        for slot, name in ((_STEERING, "steering_deg"), (_TURRET, "turret_deg"), (types.COMPASS_SLOT, "compass_deg")):
             self.quantities[name].add(angle_difference_deg(real[slot] - simulated[slot]))
         # 3. Bumpers (number of differing bits) and range sensors.
         self.quantities["bumpers"].add((real[BUMPER_SLOT] ^ simulated[BUMPER_SLOT]).bit_count())
@@ -177,12 +170,9 @@ class ShadowReport:
     def as_json(self, address: str) -> str:
         """Return address, model, number of compared states, and the quantities by name."""
         whole = {
-            "robot": address,
-            "model": self.model.name,
-            "states": self.states,
-            "difference": "real less simulated",
+            "robot": address, "model": self.model.name, "states": self.states, "difference": "real less simulated",
             "quantities": {name: found.as_numbers() for name, found in self.quantities.items()},
-        }
+        }  # fmt: skip
         return json.dumps(whole, indent=2) + "\n"
 
     def as_csv(self) -> str:
@@ -349,13 +339,9 @@ class RealRobotProxy:
     """
 
     def __init__(
-        self,
-        open_backend: Callable[[], Backend],
-        clock: Callable[[], float],
-        *,
-        read_only: bool = False,
+        self, open_backend: Callable[[], Backend], clock: Callable[[], float], *, read_only: bool = False,
         feed_s: float = TIMEOUT_S / 3,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.ownership = Ownership(read_only=read_only)
         self.active = True
         """True while connections drive this robot, False while they drive the simulated one."""
@@ -577,13 +563,9 @@ class Gateway:
     """
 
     def __init__(
-        self,
-        emulator: Emulator,
-        proxies: Mapping[int, RealRobotProxy],
-        *,
-        shadow: bool = False,
+        self, emulator: Emulator, proxies: Mapping[int, RealRobotProxy], *, shadow: bool = False,
         wrap: WrapBackend = lambda backend: backend,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.proxies = proxies
         self._emulator = emulator
         for robot_id, proxy in proxies.items():
@@ -627,13 +609,12 @@ class Gateway:
             proxy.tick()
 
     def _switch(self, proxy: RealRobotProxy, context: ConnectionContext, *, to_real: bool) -> Reply:
-        assert context.robot_id is not None
         if not proxy.ownership.is_free_for(context):
             return error_reply(REFUSED)
         if proxy.active != to_real:
-            log.warning("robot %d is the %s one from now on", context.robot_id, "real" if to_real else "simulated")
+            log.warning("robot %d is the %s one from now on", context.robot, "real" if to_real else "simulated")
             if to_real:
-                self._simulated(context.robot_id).stop()
+                self._simulated(context.robot).stop()
                 self._emulator.invalidate_state_cache()
             else:
                 proxy.release()

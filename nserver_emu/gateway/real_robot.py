@@ -98,7 +98,7 @@ class TranslatedCall(NamedTuple):
 
 def stays_here(name: str) -> bool:
     """Return True if the simulation answers this command whichever robot is driven: world, window and server."""
-    return name not in _ROWS and name not in LACKING
+    return name not in _REPLIES and name not in LACKING
 
 
 def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall | int:
@@ -109,13 +109,13 @@ def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall |
     TranslatedCall or int
         The code of an ERROR reply where the robot has no such command or the values are wrong.
     """
-    if call.name not in _ROWS:
+    if call.name not in _REPLIES:
         return NOT_AVAILABLE
     if call.name == "mv" and any(not 0 <= mode <= _MAX_MV_MODE for mode in call.args[::2]):
         return BAD_VALUES
     if call.name == "ct" and context.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
-    calls, build_reply = _ROWS[call.name](call, context, link)
+    calls, build_reply = _translated(call, context, link)
     if link.own_line and not all(exists_on_serial(BY_NAME[sent.name], link.model) for sent in calls):
         return NOT_AVAILABLE
     return TranslatedCall(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, build_reply)
@@ -148,12 +148,6 @@ def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
         wire_state = context.wire_state
         laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
     return reply._replace(slots=dict(enumerate(apply_mask(context, slots))), laser=laser)
-
-
-def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
-    """Return the reply to get_ls or, with `segments`, to get_sg."""
-    width = LINES if segments else context.wire_state.get_laser_width
-    return reply._replace(laser=shaped(reply.laser, width, link))
 
 
 def moving_axes(reply: Reply) -> int:
@@ -230,74 +224,54 @@ def _compass(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     return _numbers(context, Reply("compass", compass, clock=reply.clock), link)
 
 
+def _laser(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    """Reply to get_ls."""
+    return reply._replace(laser=shaped(reply.laser, context.wire_state.get_laser_width, link))
+
+
+def _segments(_context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    """Reply to get_sg."""
+    return reply._replace(laser=shaped(reply.laser, LINES, link))
+
+
 def _pose(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE_SLOTS))
 
 
 # --- Calls -----------------------------------------------------------------------------------------------------------
 
-Row = Callable[[Call, ConnectionContext, Link], TranslatedCall]
+_REPLIES: Final[dict[str, ReplyBuilder]] = {
+    **dict.fromkeys(("gs", "ct", "ws", "vm", "sp", "ac", "pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), state_for),
+    **dict.fromkeys(("conf_ir", "conf_sn", "conf_ls", "conf_sg", "conf_ser", "conf_cp", "conf_tm"), state_for),
+    **dict.fromkeys(("get_ir", "get_sn", "get_rc", "get_rv", "get_bp", "get_cp"), _numbers),
+    **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv"), _unchanged),
+    "get_ra": _accelerations, "get_ls": _laser, "get_sg": _segments, "get_robot_conf": _pose,
+    "tk": _done, "place_robot": _done,
+}  # fmt: skip
+"""All commands that are sent to the robot, and the functions that usually make their replies."""
 
 
-def _same_call(build_reply: ReplyBuilder) -> Row:
-    return lambda call, _context, _link: TranslatedCall((call,), build_reply)
-
-
-def _refresh(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
-    return TranslatedCall((REFRESH,), state_for)
-
-
-def _get_cp(call: Call, _context: ConnectionContext, link: Link) -> TranslatedCall:
-    return TranslatedCall((call,), _numbers) if link.masks else TranslatedCall((REFRESH,), _compass)
-
-
-def _conf_cp(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
+def _translated(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall:
     on_its_line = context.wire_state.line
-    return TranslatedCall((call,), _unchanged) if on_its_line else TranslatedCall((call, REFRESH), state_for)
+    build_reply = _REPLIES[call.name]
+    match call.name:
+        case "gs" | "ct" | "ws":
+            return TranslatedCall((REFRESH,), build_reply)
+        case "get_cp" if not link.masks:
+            return TranslatedCall((REFRESH,), _compass)
+        case "conf_cp":
+            return TranslatedCall((call,), _unchanged) if on_its_line else TranslatedCall((call, REFRESH), build_reply)
+        case "tk" if on_its_line:
+            return TranslatedCall((call, REFRESH), state_for)
+        case "conf_tm":
+            return TranslatedCall((Call("conf_tm", (min(max(call.args[0], 0), MAX_TIMEOUT_S),)),), build_reply)
+        case "place_robot":
+            x, y, steering, turret = call.args
+            return TranslatedCall((Call("dp", (x, y)), Call("da", (steering, turret))), build_reply)
+        case "get_robot_conf":
+            return TranslatedCall((Call("get_rc"),), build_reply)
+    return TranslatedCall((call,), build_reply)
 
-
-def _tk(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
-    on_its_line = context.wire_state.line
-    return TranslatedCall((call, REFRESH), state_for) if on_its_line else TranslatedCall((call,), _done)
-
-
-def _place(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
-    x, y, steering, turret = call.args
-    return TranslatedCall((Call("dp", (x, y)), Call("da", (steering, turret))), _done)
-
-
-def _get_robot_conf(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
-    return TranslatedCall((Call("get_rc"),), _pose)
-
-
-def _conf_tm(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
-    return TranslatedCall((Call("conf_tm", (min(max(call.args[0], 0), MAX_TIMEOUT_S),)),), state_for)
-
-
-def _laser(*, segments: bool) -> Row:
-    def build_reply(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
-        return laser_for(context, reply, link, segments=segments)
-
-    return _same_call(build_reply)
-
-
-_ROWS: dict[str, Row] = {
-    **dict.fromkeys(("gs", "ct", "ws"), _refresh),
-    **dict.fromkeys(("vm", "sp", "ac", "pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), _same_call(state_for)),
-    **dict.fromkeys(("conf_ir", "conf_sn", "conf_ls", "conf_sg", "conf_ser"), _same_call(state_for)),
-    **dict.fromkeys(("get_ir", "get_sn", "get_rc", "get_rv", "get_bp"), _same_call(_numbers)),
-    "get_ra": _same_call(_accelerations),
-    "get_cp": _get_cp,
-    "get_ls": _laser(segments=False),
-    "get_sg": _laser(segments=True),
-    "conf_cp": _conf_cp,
-    "conf_tm": _conf_tm,
-    "tk": _tk,
-    "place_robot": _place,
-    "get_robot_conf": _get_robot_conf,
-    **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv"), _same_call(_unchanged)),
-}
-"""All commands that are sent to the robot."""
 
 LACKING: Final = frozenset({"sim_truth", "sim_control"})
 """Commands that no real robot can answer: its true pose, and control of time."""

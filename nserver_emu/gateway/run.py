@@ -45,12 +45,9 @@ _NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the gateway's options, in a group of their own."""
     group = parser.add_argument_group("a real robot behind the server")
-    group.add_argument(
-        "--real",
-        metavar="ADDRESS",
-        help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
-        "clients switch with real_robot and simulated_robot; default at the start: real",
-    )
+    group.add_argument("--real", metavar="ADDRESS",
+                       help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
+                       "clients switch with real_robot and simulated_robot; default at the start: real")
     add_flag(group, "--real-read-only", "refuse (ERROR 5) all that would move or change the real robot; st works")
     speed = number("a number above 0", ABOVE_ZERO)
     add_value(group, "--max-speed", "IN_S", speed, "limit the speed of the real robot to IN_S inches a second")

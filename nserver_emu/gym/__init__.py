@@ -52,8 +52,6 @@ for _name, _entry_point, _vector_entry_point, _steps in (
     ("Localize", "localization.gym:localize", None, 300),
 ):
     gymnasium.register(
-        id=f"Nomad/{_name}-v0",
-        entry_point=_entry_point,
-        vector_entry_point=_vector_entry_point,
+        id=f"Nomad/{_name}-v0", entry_point=_entry_point, vector_entry_point=_vector_entry_point,
         max_episode_steps=_steps,
-    )
+    )  # fmt: skip

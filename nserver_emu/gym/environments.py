@@ -93,16 +93,10 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        task: Task,
-        *,
-        max_episode_steps: int | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        threads: int | None = None,
-        **options: Any,
-    ) -> None:
+        self, num_envs: int, task: Task, *, max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
+        threads: int | None = None, **options: Any
+    ) -> None:  # fmt: skip
         self._autoreset_mode = AutoresetMode(autoreset_mode)
         if self._autoreset_mode is AutoresetMode.SAME_STEP:
             raise ValueError("expected the autoreset mode NextStep or Disabled, got SameStep")
@@ -151,9 +145,7 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
     def _info(self, is_success: BoolArray) -> Info:
         # Gymnasium marks by _NAME which robots have a value.
         of_all = np.ones(self.num_envs, dtype=np.bool_)
-        return {
-            "is_success": is_success, "_is_success": of_all, "pose_m": self.runner.poses_m(), "_pose_m": of_all,
-        }  # fmt: skip
+        return {"is_success": is_success, "_is_success": of_all, "pose_m": self.runner.poses_m(), "_pose_m": of_all}
 
 
 # Entry points of the registry. Defaults of worlds suit the task.

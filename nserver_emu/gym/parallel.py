@@ -35,15 +35,9 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
     """
 
     def __init__(
-        self,
-        robots: int = 4,
-        task: Task | None = None,
-        *,
-        max_steps: int = 300,
-        render_mode: str | None = None,
-        world: Any = "arena",
-        **options: Any,
-    ) -> None:
+        self, robots: int = 4, task: Task | None = None, *, max_steps: int = 300, render_mode: str | None = None,
+        world: Any = "arena", **options: Any
+    ) -> None:  # fmt: skip
         if options.get("address") is not None:
             raise ValueError("several robots are not connected to: use an environment for each address")
         self.metadata = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from math import pi
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.geometry import FloatArray
-from worlds.robots import BODIES, Body
+from worlds.robots import BODIES
 from worlds.world import StartPose, World
 
 BoolArray = npt.NDArray[np.bool_]
@@ -52,40 +52,6 @@ class Sensed(NamedTuple):
     actual: FloatArray
     ranges_in: FloatArray
     is_touching: BoolArray
-
-
-class Robots(Protocol):
-    """Robots that are driven together.
-
-    Attributes
-    ----------
-    body
-        Of all of them.
-    """
-
-    body: Body
-
-    def __len__(self) -> int: ...
-
-    def reset(self, mask: BoolArray, starts: FloatArray, seed: int | None) -> None:
-        """Begin anew with the robots of a mask (n,), at starts (n, 4); None continues their random streams."""
-        ...
-
-    def drive(self, speed_in_s: FloatArray, turn_rad_s: FloatArray) -> None:
-        """Command speeds and turn rates (n,); turrets turn with the steering."""
-        ...
-
-    def step(self, dt_s: float) -> None:
-        """Let time pass."""
-        ...
-
-    def sense(self) -> Sensed:
-        """Return what the robots measure now."""
-        ...
-
-    def close(self) -> None:
-        """Stop connected robots, and disconnect."""
-        ...
 
 
 def axis_velocities(
@@ -250,3 +216,8 @@ class ConnectedRobot:
         if not self._robot.closed:
             self._robot.stop()
             self._robot.disconnect()
+
+
+Robots = BatchRobots | SimulatedRobots | ConnectedRobot
+"""Robots that are driven together. `reset` takes a mask (n,) and starts (n, 4), and None continues their random
+streams; `drive` takes speeds and turn rates (n,), and turrets turn with the steering; `body` is that of all."""

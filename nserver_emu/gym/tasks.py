@@ -95,9 +95,7 @@ class Task(ABC):
             "time": _box([0.0], [MAX_TIME_S]),
         }
 
-    def begin(
-        self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]
-    ) -> None:
+    def begin(self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """Begin an episode of the robots of a mask (n,); `options` are those of the reset."""
         del rng, options
         self._time_s[mask], self._poses[mask] = sensed.time_s[mask], poses_m(sensed.encoder)[mask]
@@ -194,9 +192,7 @@ class GoTo(Task):
         """Add the goal."""
         return super().spaces() | {"goal": _box([0.0, -pi], [2.0 * MAX_COORDINATE_M, pi])}
 
-    def begin(
-        self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]
-    ) -> None:
+    def begin(self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """Set goals: given ones, or random ones."""
         super().begin(mask, sensed, rng, options)
         actual = poses_m(sensed.actual)
@@ -265,9 +261,7 @@ class Explore(Task):
         """Add the map."""
         return super().spaces() | {"seen": spaces.Box(0, 1, (self.CELLS, self.CELLS), np.uint8)}
 
-    def begin(
-        self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]
-    ) -> None:
+    def begin(self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """Forget what was seen."""
         super().begin(mask, sensed, rng, options)
         self._seen[mask] = 0

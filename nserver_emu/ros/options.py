@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import logging
 import os
 from collections.abc import AsyncIterator
@@ -15,7 +14,7 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontext
 from pathlib import Path
 from typing import Final
 
-from nclient.errors import ExtraMissing, NomadError, install_command
+from nclient.errors import NomadError, require_packages
 from nclient.transports.listener import ListenAddress, listen_address_of, parse_listen_address
 from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
@@ -146,36 +145,29 @@ async def running_ros(daemon: Daemon, options: argparse.Namespace) -> AsyncItera
         yield lines
 
 
-def _require(option: str, extra: str, *packages: str) -> None:
-    for package in packages:
-        if importlib.util.find_spec(package) is None:
-            raise ExtraMissing(f"{option} needs {package}: {install_command(extra)}")
-
-
 def _rosbridge(
     daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *, has_map: bool
 ) -> AbstractAsyncContextManager[list[str]]:
-    _require("--rosbridge", "viewer", "aiohttp")
-    from nserver_emu.ros.rosbridge import serve_rosbridge
+    require_packages("--rosbridge", "viewer", "aiohttp")
+    from nserver_emu.ros.rosbridge import RosbridgeServer, serve_rosbridge
     from nserver_emu.viewer.http_port import load_tokens
 
     tokens = None if options.rosbridge_token_file is None else load_tokens(options.rosbridge_token_file)
     host, port = options.rosbridge
     origins = frozenset(options.rosbridge_origin)
-    return serve_rosbridge(daemon, host, port, tokens, has_map=has_map, estimates=estimates, origins=origins)
+    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates, origins=origins)
+    return serve_rosbridge(server, host, port)
 
 
 @asynccontextmanager
 async def _ros2(
     daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *, has_map: bool
 ) -> AsyncIterator[list[str]]:
-    _require("--ros2", "ros2", *_PACKAGES)
+    require_packages("--ros2", "ros2", *_PACKAGES)
     from nserver_emu.ros.dds import running_node
 
     domain, interface = domain_id() or 0, options.ros2
-    async with running_node(
-        daemon, options.ros2_distro, domain, config_of(interface), estimates, has_map=has_map
-    ):
+    async with running_node(daemon, options.ros2_distro, domain, config_of(interface), estimates, has_map=has_map):
         if interface != LOOPBACK:
             log.warning("ROS 2 is open to the network, unencrypted and without a password: every program of domain %d "
                         "there can drive the robots", domain)

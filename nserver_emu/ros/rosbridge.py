@@ -536,12 +536,8 @@ class Backlog:
 
 
 @contextlib.asynccontextmanager
-async def serve_rosbridge(
-    daemon: Daemon, host: str, port: int, tokens: http_port.Tokens | None = None, *, has_map: bool = True,
-    estimates: Estimates | None = None, origins: Set[str] = frozenset(),
-) -> AsyncIterator[list[str]]:
+async def serve_rosbridge(server: RosbridgeServer, host: str, port: int) -> AsyncIterator[list[str]]:
     """Serve rosbridge clients; yield the line to print."""
-    server = RosbridgeServer(daemon, tokens, has_map=has_map, estimates=estimates, origins=origins)
     port = await server.open(host, port)
     if not is_loopback(host):
         log.warning("rosbridge is open to the network, unencrypted: all who read its address can drive the robots; "

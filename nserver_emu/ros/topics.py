@@ -36,26 +36,7 @@ import numpy as np
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import M_PER_IN, MOTOR_RANGE_V, SCOUT_WHEEL_IN_PER_DEG, SONAR_SLOTS, volts
 from nclient.recording import ros_messages
-from nclient.recording.ros_messages import (
-    BATTERY,
-    ESTIMATE,
-    GRID,
-    MAP,
-    MAP_FRAME,
-    NUMBER,
-    ODOMETRY,
-    RANGE,
-    SCAN,
-    TF,
-    TF_STATIC,
-    TRANSFORMS,
-    TWIST,
-    Message,
-    Pose2,
-    header,
-    pose,
-    stamp,
-)
+from nclient.recording.ros_messages import BATTERY, ODOMETRY, SCAN, TF, TRANSFORMS, Message, Pose2
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.server_state import state_slots
 from nserver_emu.simulation.robot import battery_v
@@ -118,13 +99,13 @@ class Reading(NamedTuple):
 
 def topic_types(rings: Mapping[int, Ring]) -> dict[str, str]:
     """Return the types of all topics that are published, by name; `rings` are those of the robots."""
-    types = {TF: TRANSFORMS, TF_STATIC: TRANSFORMS, MAP: GRID}
+    types = {TF: TRANSFORMS, ros_messages.TF_STATIC: TRANSFORMS, ros_messages.MAP: ros_messages.GRID}
     for robot, ring in rings.items():
         base = f"/robot{robot}"
-        types |= {f"{base}/odom": ODOMETRY, f"{base}/bumpers": NUMBER}
-        types |= {f"{base}/battery": BATTERY, f"{base}/pose": ESTIMATE}
+        types |= {f"{base}/odom": ODOMETRY, f"{base}/bumpers": ros_messages.NUMBER}
+        types |= {f"{base}/battery": BATTERY, f"{base}/pose": ros_messages.ESTIMATE}
         types |= {f"{base}/sonar": SCAN} if is_scan(ring) else {}
-        types |= {f"{base}/sonar/{k}": RANGE for k in range(ring.count)}
+        types |= {f"{base}/sonar/{k}": ros_messages.RANGE for k in range(ring.count)}
     return types
 
 
@@ -136,7 +117,7 @@ def is_scan(ring: Ring) -> bool:
 
 def command_types(robots: Iterable[int]) -> dict[str, str]:
     """Return the types of all topics that programs may publish, by name."""
-    return {f"/robot{robot}/cmd_vel": TWIST for robot in robots}
+    return {f"/robot{robot}/cmd_vel": ros_messages.TWIST for robot in robots}
 
 
 def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
@@ -172,7 +153,7 @@ def frames(reading: Reading, map_to_odom: Pose2 | None) -> Message:
     frame, time_ns = frame_of(reading.robot), reading.time_ns
     found = ros_messages.moving_frames(time_ns, frame, reading.pose, reading.turret_rad)
     if map_to_odom is not None:
-        found.insert(0, ros_messages.transform(time_ns, MAP_FRAME, f"{frame}/odom", map_to_odom))
+        found.insert(0, ros_messages.transform(time_ns, ros_messages.MAP_FRAME, f"{frame}/odom", map_to_odom))
     return {"transforms": found}
 
 
@@ -199,8 +180,9 @@ def estimate_message(estimate: Mapping[str, Any], time_ns: int) -> Message:
             value = estimate["cov"][3 * row + column] * units[row] * units[column]
             covariance[6 * places[row] + places[column]] = value
     # 2. The pose in the frame of the map.
-    at = pose(x * M_PER_IN, y * M_PER_IN, heading)
-    return {"header": header(time_ns, MAP_FRAME), "pose": {"pose": at, "covariance": covariance}}
+    at = ros_messages.pose(x * M_PER_IN, y * M_PER_IN, heading)
+    header = ros_messages.header(time_ns, ros_messages.MAP_FRAME)
+    return {"header": header, "pose": {"pose": at, "covariance": covariance}}
 
 
 def map_to_odom(estimate: Mapping[str, Any]) -> Pose2:
@@ -219,9 +201,9 @@ def grid_message(grid: OccupancyGrid, time_ns: int) -> Message:
     width, height = grid.cells.shape
     data = values[grid.cells.T.reshape(-1)].tolist()
     x, y = grid.origin_in
-    info = {"map_load_time": stamp(time_ns), "resolution": grid.size_in * M_PER_IN, "width": width, "height": height,
-            "origin": pose(x * M_PER_IN, y * M_PER_IN, grid.turn_rad)}  # fmt: skip
-    return {"header": header(time_ns, MAP_FRAME), "info": info, "data": data}
+    info = {"map_load_time": ros_messages.stamp(time_ns), "resolution": grid.size_in * M_PER_IN, "width": width,
+            "height": height, "origin": ros_messages.pose(x * M_PER_IN, y * M_PER_IN, grid.turn_rad)}  # fmt: skip
+    return {"header": ros_messages.header(time_ns, ros_messages.MAP_FRAME), "info": info, "data": data}
 
 
 def velocities(twist: Any, is_differential: bool) -> list[int]:

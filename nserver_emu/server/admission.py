@@ -274,12 +274,9 @@ class AdmissionProtocol(asyncio.Protocol):
     """
 
     def __init__(
-        self,
-        rules: AdmissionRules,
-        present: Callable[[], Collection[str]],
-        new_protocol: Callable[[], asyncio.BaseProtocol],
-        make_room: Callable[[str], bool] = lambda _host: False,
-    ) -> None:
+        self, rules: AdmissionRules, present: Callable[[], Collection[str]],
+        new_protocol: Callable[[], asyncio.BaseProtocol], make_room: Callable[[str], bool] = lambda _host: False,
+    ) -> None:  # fmt: skip
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
         self._make_room = make_room
 
@@ -386,8 +383,6 @@ class AcceptErrorHandler:
         # Handles all other errors; None: asyncio does.
         self.previous = previous
         self._spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(2)]
-        self.failed = 0
-        """Number of times that no connection could be accepted."""
 
     def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Handle an error that asyncio reports."""
@@ -398,7 +393,6 @@ class AcceptErrorHandler:
             else:
                 self.previous(loop, context)
             return
-        self.failed += 1
         log.error("no connection can be accepted for a second: %s", error.strerror, extra={"address": "all"})
         self.close()
         with contextlib.suppress(OSError), listener.dup() as port:

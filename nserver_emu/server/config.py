@@ -68,7 +68,8 @@ def read_setups(paths: Iterable[Path]) -> LegacySetup:
     """Read setup files; later ones override earlier ones. Raises SetupFileError."""
     setup = LegacySetup()
     for path in paths:
-        setup = _with_entries(setup, _parsed_file(path), str(path))
+        text = read_binary(path, MAX_BYTES, SetupFileError).decode("latin-1")
+        setup = _with_entries(setup, parse_setup(text, str(path)), str(path))
     return setup
 
 
@@ -105,11 +106,6 @@ def _joined(text: str) -> Iterator[tuple[int, str]]:
         whole, first = "", 0
     if whole:
         yield first, whole
-
-
-def _parsed_file(path: Path) -> Mapping[tuple[str, str], Entry]:
-    data = read_binary(path, MAX_BYTES, SetupFileError)
-    return parse_setup(data.decode("latin-1"), str(path))
 
 
 def _with_entries(setup: LegacySetup, entries: Mapping[tuple[str, str], Entry], file: str) -> LegacySetup:

@@ -42,22 +42,17 @@ from enum import Enum, auto
 from heapq import heappop, heappush
 from itertools import count
 from math import inf
-from typing import Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from nclient.faults.inject import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder, TrafficRecorder
-from nserver_emu.server.admission import AdmissionControl, ConnectionTimeouts
-from nserver_emu.server.serial_session import Arrival, FaultController, FaultyChannel, SerialChannel
-from nserver_emu.server.server_state import ServerState
-from nserver_emu.server.session import (
-    CLOSED_RETENTION_S,
-    BaseSession,
-    ClientIdentity,
-    ClientRegistry,
-    CommandHandler,
-    Session,
-)
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder
+from nserver_emu.server.admission import ConnectionTimeouts
+from nserver_emu.server.serial_session import Arrival, FaultyChannel, SerialChannel
+from nserver_emu.server.session import CLOSED_RETENTION_S, BaseSession, ClientIdentity, CommandHandler, Session
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -99,10 +94,6 @@ class ConnectionState(Enum):
 
 
 # Read for every request, where the lookup in the class would cost more than the comparison.
-DISCONNECTED: Final = ConnectionState.DISCONNECTED
-OPEN: Final = ConnectionState.OPEN
-PAUSED: Final = ConnectionState.PAUSED
-CLOSED: Final = ConnectionState.CLOSED
 
 
 class ConnectionHandler(ABC):
@@ -145,13 +136,13 @@ class ConnectionHandler(ABC):
     # Address of the client, if it has one.
     host = ""
 
-    def __init__(self, server: Server, channel: SerialChannel | None = None) -> None:
+    def __init__(self, server: Daemon, channel: SerialChannel | None = None) -> None:
         self._server = server
         self._loop = asyncio.get_running_loop()
         self._recorder: ConnectionRecorder = NULL_RECORDER
 
         # -- The peer --
-        self.state: ConnectionState = OPEN
+        self.state = ConnectionState.OPEN
         # Name of this connection where its address must not be named.
         self.number = next(_numbers)
         # The identity last reported by the session.
@@ -190,7 +181,7 @@ class ConnectionHandler(ABC):
     @property
     def is_connected(self) -> bool:
         """True while a peer is there, whether it reads its replies or not."""
-        return self.state is OPEN or self.state is PAUSED
+        return self.state is ConnectionState.OPEN or self.state is ConnectionState.PAUSED
 
     # Entry points: port, scheduler and daemon call them. An exception of the session never leaves them.
 
@@ -269,9 +260,8 @@ class ConnectionHandler(ABC):
                 session.receive(data)
             # 3. It answers the next one, unless the peer does not read, its rate limit is used up, or the reply needs
             #    more preparation.
-            may_answer = (
-                self.state is OPEN and (limit is None or not self._rate_limit_wait_s()) and self._prepare_next_reply()
-            )
+            is_in_rate = limit is None or not self._rate_limit_wait_s()
+            may_answer = self.state is ConnectionState.OPEN and is_in_rate and self._prepare_next_reply()
             has_request, answered_before = session.ready, session.answered
             replies = session.process_requests(MAX_REQUESTS_PER_TURN) if may_answer else b""
         except Exception:
@@ -353,7 +343,7 @@ class ConnectionHandler(ABC):
         During a deferred reply (ws, zr) reading continues until the queue is full, so that a closed connection is
         noticed.
         """
-        session, is_open = self.session, self.state is OPEN
+        session, is_open = self.session, self.state is ConnectionState.OPEN
         is_ready = is_open and (session.ready or self._has_backlog)
         if is_ready and self._rate_limit_timer is None and not self.is_queued:
             if wait_s := self._rate_limit_wait_s():
@@ -445,13 +435,13 @@ class ConnectionHandler(ABC):
     def _set_reading(self, on: bool) -> None:
         """Read from the port, or suspend reading; called after each turn, mostly without a change."""
 
-    @abstractmethod
     def _close_port(self) -> None:
         """Close the connection after the replies in its buffer are sent."""
+        self.close()
 
-    @abstractmethod
     def _abort(self) -> None:
         """Close the connection now and drop its buffer."""
+        self._close_port()
 
     @abstractmethod
     def close(self) -> None:
@@ -464,7 +454,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
     line = "nserver"
     is_registered = True
 
-    def __init__(self, server: Server) -> None:
+    def __init__(self, server: Daemon) -> None:
         super().__init__(server)
         limits, now_s = server.admission.limits, self._loop.time()
         # Executes the calls of the session.
@@ -506,7 +496,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         """Release everything the session owns: timers, axes, registry entry."""
         session, registry = self.session, self._server.client_registry
         # 1. No more turns and timers.
-        self.state = CLOSED
+        self.state = ConnectionState.CLOSED
         self._cancel_timers()
         for timer in (self._timeout_check, self._connect_timer):
             if timer is not None:
@@ -563,12 +553,12 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
     def pause_writing(self) -> None:
         """Stop answering requests: the client leaves more than --limit-write-queue bytes of replies unread."""
-        self.state = PAUSED
+        self.state = ConnectionState.PAUSED
         self._schedule()
 
     def resume_writing(self) -> None:
         """Continue to answer requests: the client has read most of them."""
-        self.state = OPEN
+        self.state = ConnectionState.OPEN
         self._schedule()
 
     # ConnectionHandler.
@@ -591,9 +581,6 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
             self._transport.resume_reading()
         else:
             self._transport.pause_reading()
-
-    def _close_port(self) -> None:
-        self._transport.close()
 
     def _abort(self) -> None:
         self._transport.abort()
@@ -624,7 +611,7 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         if is_waiting:
             # A client that waits for a deferred reply is not idle.
             self._timeouts.active_s = now_s
-        is_stalled = self.state is PAUSED or (bool(self.session.unfinished) and not is_waiting)
+        is_stalled = self.state is ConnectionState.PAUSED or (bool(self.session.unfinished) and not is_waiting)
         reason = self._timeouts.timeout_reason(now_s, self.session.answered, is_stalled)
         if not reason:
             self._schedule_timeout_check()
@@ -641,28 +628,6 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
         log.warning("%s: closed: %s", self.session.name, reason, extra=self.session.log_extra)
         self._is_end_logged = True
         self._abort()
-
-
-class Server(Protocol):
-    """The parts of a server that its connections use."""
-
-    # The command handler behind the port of Nserver: the emulator, or the gateway to real robots.
-    handler: CommandHandler
-    recorder: TrafficRecorder
-    # Open connections of all kinds; a connection adds and removes itself.
-    connections: set[ConnectionHandler]
-    client_registry: ClientRegistry
-    admission: AdmissionControl
-    faults: FaultController
-    scheduler: FairScheduler
-    # Totals of connections that are closed.
-    closed_answered: int
-    closed_refused: int
-    closed_cpu_s: float
-
-    @property
-    def emulator(self) -> ServerState:
-        """The simulation with the server's settings."""
 
 
 # Scheduling: which job has its turn in which iteration. Nothing below knows bytes or requests.

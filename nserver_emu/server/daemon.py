@@ -13,6 +13,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,14 +22,7 @@ from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
 from nclient.transports.listener import LOOPBACK, LOOPBACK_NAME
 from nserver_emu.server import admission
-from nserver_emu.server.admission import (
-    RESERVED_S,
-    AcceptErrorHandler,
-    AdmissionControl,
-    AdmissionProtocol,
-    ConnectionReserve,
-    ReservableConnection,
-)
+from nserver_emu.server.admission import RESERVED_S, AcceptErrorHandler, AdmissionControl, ConnectionReserve
 from nserver_emu.server.connection import ConnectionHandler, FairScheduler, TcpConnection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import FaultController
@@ -65,12 +59,9 @@ class Daemon:
     """
 
     def __init__(
-        self,
-        emulator: Emulator,
-        speed: float | None = 1.0,
-        handler: CommandHandler | None = None,
+        self, emulator: Emulator, speed: float | None = 1.0, handler: CommandHandler | None = None,
         faults: FaultController | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.emulator = emulator
         self.handler: CommandHandler = emulator if handler is None else handler
         # Records requests, replies, time steps and changes in their order.
@@ -115,10 +106,10 @@ class Daemon:
             If the port is taken; the message names `option`, with which the user chose it.
         """
         try:
-            server = await admission.listen(
-                lambda: AdmissionProtocol(self.admission, self._client_hosts, new_connection, self._make_room),
-                host, port,
+            admitted = partial(
+                admission.AdmissionProtocol, self.admission, self._client_hosts, new_connection, self._make_room
             )
+            server = await admission.listen(admitted, host, port)
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"
             if error.errno != errno.EADDRINUSE:
@@ -148,7 +139,7 @@ class Daemon:
     def _tcp_connections(self) -> list[TcpConnection]:
         return [connection for connection in self.connections if isinstance(connection, TcpConnection)]
 
-    def _may_close(self, connection: ReservableConnection) -> bool:
+    def _may_close(self, connection: admission.ReservableConnection) -> bool:
         """Return True if closing a connection for another one stops no robot."""
         assert isinstance(connection, TcpConnection)
         context = connection.session.context

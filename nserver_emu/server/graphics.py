@@ -1,20 +1,11 @@
 """Client graphics in a robot's window, and the traces of driven robots. No I/O.
 
-    layer       actual_trace | encoder_trace | bumper | infrared | sonar | laser | client_graphics
     shape       line x1 y1 x2 y2 | arc x0 y0 w h th1 th2 | robot x y steer turret | arrow x y steer turret
     mode        line, arc   1 black   2 black XOR              above 2 colour(mode - 2) XOR
                 robot       1 black XOR   2 black XOR + a permanent arrow   3 black   above 3 colour(mode - 3) XOR
 
 Shapes are in tenths as on the wire. An XOR shape drawn a second time disappears, as on a screen, whichever client
 draws it. Traces are in inches.
-
-`layers` returns the contents of a robot's window by layer, as plain data (numbers, texts, lists, dictionaries):
-
-    actual_trace, encoder_trace     [[x, y] ...] in inches, the oldest first
-    bumper                          the bits of State[33]
-    infrared, sonar                 16 readings each, empty without the sensor
-    laser                           [[x, y] ...] in inches, in the robot's frame, empty without a laser
-    client_graphics                 [{"figure", "numbers" (tenths, as drawn), "colour", "xor"} ...]
 """
 
 from __future__ import annotations
@@ -27,13 +18,12 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from itertools import takewhile
 from math import floor, hypot
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nserver_emu.server.admission import Limits
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.sensors import points
 
 BLACK: Final = "Black"
 # Colours by number, starting with 1.
@@ -45,18 +35,6 @@ COLOURS: Final = (
 
 # Removals remembered for incremental updates; a viewer that is further behind gets all shapes.
 MAX_REMOVALS: Final = 1000
-
-
-class Layer(StrEnum):
-    """The parts of the window that a client can have redrawn."""
-
-    ACTUAL_TRACE = "actual_trace"
-    ENCODER_TRACE = "encoder_trace"
-    BUMPER = "bumper"
-    INFRARED = "infrared"
-    SONAR = "sonar"
-    LASER = "laser"
-    CLIENT = "client_graphics"
 
 
 class Figure(StrEnum):
@@ -86,19 +64,19 @@ class GraphicsState(NamedTuple):
     """The client graphics in a snapshot: shapes and removals with their revisions."""
 
     drawn: int
-    redrawn: dict[Layer, int]
+    # Former versions counted requests to redraw a layer; nothing reads these numbers.
+    redrawn: dict[str, int]
     shapes: tuple[tuple[int, Shape], ...]
     removed: tuple[tuple[int, int], ...]
 
 
 class Graphics:
-    """The client graphics, and the number of redraw requests for each layer."""
+    """The client graphics."""
 
     # Number of drawing operations: the revision of the shapes.
     drawn: int = 0
 
     def __init__(self) -> None:
-        self.redrawn: dict[Layer, int] = dict.fromkeys(Layer, 0)
         self._shapes: dict[Shape, int] = {}
         # Revision at which a shape was removed, and the revision that had drawn it.
         self._removed: deque[tuple[int, int]] = deque(maxlen=MAX_REMOVALS)
@@ -141,11 +119,6 @@ class Graphics:
         if mode == 2:
             self._add(Shape(Figure.ARROW, numbers, BLACK, xor=False), max_shapes)
 
-    def redraw(self, *layers: Layer) -> None:
-        """Count a request to redraw these layers."""
-        for layer in layers:
-            self.redrawn[layer] += 1
-
     def _add(self, shape: Shape, max_shapes: int) -> None:
         self.drawn += 1
         if shape in self._shapes:
@@ -161,7 +134,7 @@ class Graphics:
 
     def to_state(self) -> GraphicsState:
         """Return the state for a snapshot."""
-        return GraphicsState(self.drawn, self.redrawn, tuple(self.numbered), tuple(self._removed))
+        return GraphicsState(self.drawn, {}, tuple(self.numbered), tuple(self._removed))
 
     @classmethod
     def from_state(cls, state: GraphicsState) -> Graphics:
@@ -170,8 +143,8 @@ class Graphics:
         for numbers in ([number for number, _ in state.shapes], [when for when, _ in state.removed]):
             if numbers != sorted(numbers) or (numbers and not 0 < numbers[0] <= numbers[-1] <= state.drawn):
                 raise ValueError("graphics with revisions out of order")
-        if min(state.redrawn.values(), default=0) < 0 or len(state.removed) > MAX_REMOVALS:
-            raise ValueError("graphics that were redrawn or removed too often")
+        if len(state.removed) > MAX_REMOVALS:
+            raise ValueError("graphics that were removed too often")
         # 2. Shapes.
         for _, shape in state.shapes:
             if len(shape.numbers) != NUMBERS[shape.figure] or shape.colour not in (BLACK, *COLOURS):
@@ -180,7 +153,6 @@ class Graphics:
                 raise ValueError(f"a {shape.figure.value} beyond the numbers of a request")
         graphics = cls()
         graphics.drawn = state.drawn
-        graphics.redrawn |= state.redrawn
         graphics._shapes = {shape: number for number, shape in state.shapes}
         graphics._removed.extend(state.removed)
         return graphics
@@ -325,28 +297,6 @@ class Traces:
         return traces
 
 
-def layers(robot_id: int, robot: SimulatedRobot, traces: Traces, graphics: Graphics) -> dict[str, Any]:
-    """Return each layer by its name, as of now."""
-    # All columns, independent of any connection's settings.
-    laser_points = points(robot.scan_laser(), robot.model.body).tolist() if robot.model.has_light_sensors else []
-    return {
-        Layer.ACTUAL_TRACE.value: _track(traces.actual.get(robot_id)),
-        Layer.ENCODER_TRACE.value: _track(traces.encoder.get(robot_id)),
-        Layer.BUMPER.value: robot.bumpers,
-        Layer.INFRARED.value: [] if robot.infrared is None else list(robot.infrared.readings),
-        Layer.SONAR.value: list(robot.sonar.readings_in),
-        Layer.LASER.value: laser_points,
-        Layer.CLIENT.value: [
-            {"figure": shape.figure.value, "numbers": list(shape.numbers), "colour": shape.colour, "xor": shape.xor}
-            for shape in graphics.shapes
-        ],
-    }
-
-
-def _track(trace: Trace | None) -> list[list[float]]:
-    return [] if trace is None else [list(point) for point in trace.points]
-
-
 # tk: speech output of robots.
 
 # Older utterances are dropped, so that clients that speak for days do not fill memory.
@@ -360,19 +310,3 @@ class Utterance(NamedTuple):
     time_s: float
     robot_id: int
     text: str
-
-
-class SpeechLog:
-    """The last texts spoken by robots, oldest first."""
-
-    def __init__(self) -> None:
-        self._utterances: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
-
-    @property
-    def utterances(self) -> tuple[Utterance, ...]:
-        """All stored texts."""
-        return tuple(self._utterances)
-
-    def add(self, utterance: Utterance) -> None:
-        """Append a text."""
-        self._utterances.append(utterance)

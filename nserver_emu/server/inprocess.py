@@ -88,7 +88,7 @@ class InProcess:
             self._outgoing += self._session.process_requests(max_requests=1)
             # 3. A reply that cannot come because time is paused.
             if self._session.waiting and not self.emulator.clock.step_per_request_s:
-                self.emulator.cancel_deferred(self._session.context)
+                self.emulator.deferred.cancel(self._session.context)
                 self._outgoing += self._session.cancel_deferred(REFUSED)
 
     def receive(self) -> bytes:
@@ -154,8 +154,6 @@ def open_address(address: str) -> InProcess:
     parsed: dict[str, Any] = _DEFAULTS | RawAddress(address, SCHEME, once).parse_options(_PARSERS)
     step_s, line, robots = parsed.pop("step_s"), parsed.pop("line"), parsed.pop("robots")
     (robot, start), *others = robot_placements(given.get("robot", ["n150"]), given.get("start", []), robots)
-    setting = SimulationConfig(
-        world=path or DEFAULT_WORLD, robot=robot, start=start, others=tuple(others), **parsed
-    )
+    setting = SimulationConfig(world=path or DEFAULT_WORLD, robot=robot, start=start, others=tuple(others), **parsed)
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
     return (InProcessLine if line else InProcess)(emulator, step_s)

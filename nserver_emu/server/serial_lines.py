@@ -24,7 +24,7 @@ from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.inject import Language, LineLanguage
 from nclient.protocol.types import Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
-from nserver_emu.server.connection import CLOSED, DISCONNECTED, OPEN, READ_SIZE, ConnectionHandler, TcpConnection
+from nserver_emu.server.connection import READ_SIZE, ConnectionHandler, ConnectionState, TcpConnection
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.serial_session import RateLimitedChannel, SerialChannel, SerialSession
 
@@ -77,12 +77,9 @@ class PtyConnection(ConnectionHandler):
     session: SerialSession
 
     def __init__(
-        self,
-        daemon: Daemon,
-        robot: RobotLine,
-        terminal: PseudoTerminal,
+        self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
         new_channel: Callable[[], SerialChannel] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(daemon)
         self.robot = robot
         self.line = f"serial:{robot.robot_id}"
@@ -91,7 +88,7 @@ class PtyConnection(ConnectionHandler):
         self.lost = 0
         self._handler = daemon.emulator
         self._new_channel = new_channel
-        self.state = DISCONNECTED
+        self.state = ConnectionState.DISCONNECTED
         self._is_reading = False
         # The rest of a reply that the terminal has taken in part.
         self._write_buffer = b""
@@ -105,7 +102,7 @@ class PtyConnection(ConnectionHandler):
             self._next_link_check_s = self._loop.time() + LINK_CHECK_INTERVAL_S
             if self.terminal.restore_link():
                 log.warning("%s: the symbolic link was removed; created again", self.session.name)
-        if self.state is OPEN:
+        if self.state is ConnectionState.OPEN:
             super().tick()
         elif not self.terminal.is_closed:
             self._on_opened()
@@ -113,7 +110,7 @@ class PtyConnection(ConnectionHandler):
     def close(self) -> None:
         """Close the terminal and remove the connection from the server."""
         self._on_closed()
-        self.state = CLOSED
+        self.state = ConnectionState.CLOSED
         self.terminal.close()
         self._server.connections.discard(self)
 
@@ -127,7 +124,7 @@ class PtyConnection(ConnectionHandler):
 
     def _on_opened(self) -> None:
         """Connect the host that has opened the link."""
-        self.state = OPEN
+        self.state = ConnectionState.OPEN
         self._recorder = self._server.recorder.open(self.session.name, SERIAL, self.robot.model, self.robot.robot_id)
         log.info("%s: opened", self.session.name)
         self._set_reading(True)
@@ -146,9 +143,9 @@ class PtyConnection(ConnectionHandler):
         self._set_reading(False)
         self._loop.remove_writer(self.terminal.fd)
         self._write_buffer = self._receive_backlog = b""
-        if self.state is OPEN:
+        if self.state is ConnectionState.OPEN:
             log.info("%s: closed after %d refused requests", self.session.name, self.session.refused)
-        self.state = DISCONNECTED
+        self.state = ConnectionState.DISCONNECTED
         self._handler.on_disconnect(self.session.context)
         self._recorder.close()
         self._recorder = NULL_RECORDER
@@ -185,9 +182,6 @@ class PtyConnection(ConnectionHandler):
         """Hang up as an unplugged adapter does: the host's end is dead, and a new one is behind the link."""
         self._on_closed()
         self.terminal.replace()
-
-    def _abort(self) -> None:
-        self._close_port()
 
 
 class RobotdConnection(TcpConnection):

@@ -363,14 +363,9 @@ class SerialSession(BaseSession[SerialFrame]):
     """
 
     def __init__(
-        self,
-        answer: Answer,
-        robot_id: int,
-        model: Model,
-        clock: Callable[[], float],
-        name: str = "line",
+        self, answer: Answer, robot_id: int, model: Model, clock: Callable[[], float], name: str = "line",
         wire_state: WireState | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(answer, name, ConnectionContext(wire_state or serial_wire_state(model), robot_id))
         self.model = model
         self._clock = clock

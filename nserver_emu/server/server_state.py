@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -32,48 +33,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from nclient.errors import HELD
+from nclient.protocol import types
 from nclient.protocol.client_state import ERROR_SLOT, RING_PACKET, STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import (
-    BUMPER_SLOT,
-    COMPASS_SLOT,
-    CPU_RANGE_V,
-    EVERYTHING,
-    INFRARED_KEYS,
-    LASER_SLOT,
-    LINES,
-    MAX_SONAR_IN,
-    MIN_SONAR_IN,
-    MOTOR_RANGE_V,
-    NO_STAMP,
-    POINTS,
-    SONAR_KEYS,
-    SONAR_SLOTS,
-    Mask,
-    Position,
-    Stamp,
-    WireState,
-    clamp_word,
-    get_model,
-    heading_tenths,
-    rad_from_tenths,
-    raw_volts,
-    serial_wire_state,
-    tenths,
-)
+from nclient.protocol.types import Mask, Position, Stamp, WireState, clamp_word, heading_tenths, raw_volts, tenths
+from nserver_emu.server import session
 from nserver_emu.server.admission import Limits
 from nserver_emu.server.estop import EStop
-from nserver_emu.server.graphics import Graphics, SpeechLog, Traces, layers
-from nserver_emu.server.session import (
-    NOT_AVAILABLE,
-    CachedStateReply,
-    ConnectionContext,
-    DeferredReplies,
-    DeferredReply,
-    PoseRequests,
-    error_reply,
-)
+from nserver_emu.server.graphics import MAX_UTTERANCES, Graphics, Traces, Utterance
+from nserver_emu.server.session import NOT_AVAILABLE, CachedStateReply, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
@@ -242,7 +211,7 @@ class AxisOwnership:
 def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, float, float]:
     """Return the three values of a command in inches or radians, as the model's axes count."""
     first, second, third = (
-        number / 10 if rolls else rad_from_tenths(number)
+        number / 10 if rolls else types.rad_from_tenths(number)
         for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
     )
     return first, second, third
@@ -272,11 +241,11 @@ def is_on(mode: int) -> bool:
 def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) -> tuple[int, ...]:
     """Return the laser vector with `width` words per reading and a connection's settings; (0,) if it is empty."""
     view = robot.scan_laser(context.laser_columns)
-    if width not in (POINTS, LINES):
+    if width not in (types.POINTS, types.LINES):
         rows = pixels(view)
         return (len(rows), *rows)
     found = points(view, robot.model.body)
-    if width == LINES:
+    if width == types.LINES:
         found = lines(found, _line_fit(context))
     # Rounded as `tenths` does, but in an array: a scan has up to 964 numbers.
     values = np.floor(np.abs(found.ravel()) * 10 + 0.5)
@@ -315,7 +284,7 @@ def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
 def volts_raw(time_s: float) -> tuple[int, int]:
     """Return the raw battery bytes of CPU and motors."""
     voltage = battery_v(time_s)
-    return raw_volts(voltage, CPU_RANGE_V), raw_volts(voltage, MOTOR_RANGE_V)
+    return raw_volts(voltage, types.CPU_RANGE_V), raw_volts(voltage, types.MOTOR_RANGE_V)
 
 
 def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
@@ -330,11 +299,9 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
     return (
-        clamp_word(tenths(pose.x_in)),
-        clamp_word(tenths(pose.y_in)),
-        heading_tenths(pose.steering_rad),
+        clamp_word(tenths(pose.x_in)), clamp_word(tenths(pose.y_in)), heading_tenths(pose.steering_rad),
         heading_tenths(pose.turret_rad),
-    )
+    )  # fmt: skip
 
 
 def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
@@ -345,11 +312,9 @@ def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
 
 def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
     return Stamp(
-        *_pose_tenths(at.pose),
-        *axis_tenths(robot, at.velocities),
-        robot_clock_ms(robot, at.pose_time_s),
+        *_pose_tenths(at.pose), *axis_tenths(robot, at.velocities), robot_clock_ms(robot, at.pose_time_s),
         robot_clock_ms(robot, at.sensor_time_s),
-    )
+    )  # fmt: skip
 
 
 class StateSensor(NamedTuple):
@@ -390,7 +355,7 @@ def _ring_stamps(robot: SimulatedRobot, keys: Sequence[str], ring: Any) -> dict[
         return {}
     # State has slots for 16 sonars, whatever the ring has.
     stamps = {key: _stamp(robot, at) for key, at in zip(keys, ring.stamps, strict=False)}
-    return {key: stamps.get(key, NO_STAMP) for key in keys}
+    return {key: stamps.get(key, types.NO_STAMP) for key in keys}
 
 
 def _compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
@@ -406,33 +371,33 @@ def sonar_words(robot: SimulatedRobot) -> tuple[int, ...]:
 
     Of a larger ring these are the first 16; the slots that a smaller one leaves have no echo.
     """
-    no_echo_in, readings = robot.model.body.ring.no_echo_in, robot.sonar.readings_in[:SONAR_SLOTS]
-    words = [MAX_SONAR_IN if reading == no_echo_in else _sonar_word(reading) for reading in readings]
-    return (*words, *[MAX_SONAR_IN] * (SONAR_SLOTS - len(words)))
+    no_echo_in, readings = robot.model.body.ring.no_echo_in, robot.sonar.readings_in[:types.SONAR_SLOTS]
+    words = [types.MAX_SONAR_IN if reading == no_echo_in else _sonar_word(reading) for reading in readings]
+    return (*words, *[types.MAX_SONAR_IN] * (types.SONAR_SLOTS - len(words)))
 
 
 def _sonar_word(reading_in: float) -> int:
     word = math.floor(reading_in + 0.5)
-    if MIN_SONAR_IN <= word <= MAX_SONAR_IN:
+    if types.MIN_SONAR_IN <= word <= types.MAX_SONAR_IN:
         return word
-    return min(max(word, MIN_SONAR_IN), MAX_SONAR_IN) if reading_in else 0
+    return min(max(word, types.MIN_SONAR_IN), types.MAX_SONAR_IN) if reading_in else 0
 
 
 INFRARED: Final = StateSensor(
     "infrared", range(1, 17), Position.INFRARED, INFRARED_NOTHING,
     lambda robot: None if robot.infrared is None else robot.infrared.readings,
-    lambda robot, _: _ring_stamps(robot, INFRARED_KEYS, robot.infrared),
+    lambda robot, _: _ring_stamps(robot, types.INFRARED_KEYS, robot.infrared),
 )  # fmt: skip
 SONAR: Final = StateSensor(
     "sonar", range(17, 33), Position.SONAR, 0, sonar_words,
-    lambda robot, _: _ring_stamps(robot, SONAR_KEYS, robot.sonar),
+    lambda robot, _: _ring_stamps(robot, types.SONAR_KEYS, robot.sonar),
 )  # fmt: skip
 BUMPER: Final = StateSensor(
-    "bumper", range(BUMPER_SLOT, BUMPER_SLOT + 1), Position.BUMPER, 0, lambda robot: (robot.bumpers,),
+    "bumper", range(types.BUMPER_SLOT, types.BUMPER_SLOT + 1), Position.BUMPER, 0, lambda robot: (robot.bumpers,),
     lambda robot, time_s: {"bumper": stamp_now(robot, time_s)},
 )  # fmt: skip
 COMPASS: Final = StateSensor(
-    "compass", range(COMPASS_SLOT, COMPASS_SLOT + 1), Position.COMPASS, 0,
+    "compass", range(types.COMPASS_SLOT, types.COMPASS_SLOT + 1), Position.COMPASS, 0,
     lambda robot: None if robot.compass is None else (heading_tenths(robot.compass.direction_rad),), _compass_stamps,
 )  # fmt: skip
 STATE_SENSORS: Final = (INFRARED, SONAR, BUMPER, COMPASS)
@@ -460,7 +425,7 @@ class StateSnapshot:
         self._slots[0], self._slots[_MOTORS_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
         self._missing: Sequence[_Part] = _PARTS
 
-    def slots(self, mask: Mask = EVERYTHING) -> list[int]:
+    def slots(self, mask: Mask = types.EVERYTHING) -> list[int]:
         """Return State[0..44], valid in the slots that the mask includes; callers must not change the list."""
         missing = []
         for part in self._missing:
@@ -478,13 +443,11 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
     return StateSnapshot(robot, speed).slots()
 
 
-def build_state_reply(
-    robot: SimulatedRobot, context: ConnectionContext, snapshot: StateSnapshot
-) -> Reply:
+def build_state_reply(robot: SimulatedRobot, context: ConnectionContext, snapshot: StateSnapshot) -> Reply:
     """Return the state reply to a connection, from a snapshot of now."""
     # 1. State and laser in the form that the connection has chosen.
     mask, time_s = context.wire_state.mask, to_s(snapshot.time_ps)
-    slots, laser = add_laser(robot, context, snapshot.slots(mask), wanted=mask.has(LASER_SLOT))
+    slots, laser = add_laser(robot, context, snapshot.slots(mask), wanted=mask.has(types.LASER_SLOT))
     # 2. Excluded slots keep the value last sent.
     slots = apply_mask(context, slots)
     # 3. Positions and times of the readings, if requested.
@@ -518,7 +481,7 @@ def add_laser(
     if not robot.model.has_light_sensors:
         return slots, None
     wire_state = context.wire_state
-    with_mode = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
+    with_mode = [*slots[:types.LASER_SLOT], wire_state.laser_mode, *slots[types.LASER_SLOT + 1 :]]
     return with_mode, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
         wire_state.laser_mode
     ) else None
@@ -565,13 +528,9 @@ class ServerState:
     preparations: Mapping[str, Preparation] = {}
 
     def __init__(
-        self,
-        simulation: Simulation,
-        *,
-        port: int = 1,
-        clock: SimulationClock | None = None,
+        self, simulation: Simulation, *, port: int = 1, clock: SimulationClock | None = None,
         allowed: Allowed | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.simulation = simulation
         self.port = port
         self.clock = clock or SimulationClock()
@@ -581,19 +540,20 @@ class ServerState:
         self.graphics = Graphics()
         self.traces = Traces()
         self.traces.update(simulation.time_s, simulation.robots)
-        self.transcript = SpeechLog()
+        # The last texts spoken by robots, oldest first.
+        self.transcript: deque[Utterance] = deque(maxlen=MAX_UTTERANCES)
         # Arms that were used, by robot.
         self.arms: dict[int, Arm] = {}
         self.axis_ownership = AxisOwnership()
         self.estop = EStop()
         # Worlds that were exported, by their text, so that they can be restored exactly (runtime_settings.py).
         self.exported_worlds: dict[str, World] = {}
-        self.pose_requests = PoseRequests()
+        self.pose_requests = session.PoseRequests()
         # Mask and laser mode of robots' own lines.
         self._serial_wire_states: dict[int, WireState] = {}
         # The last state snapshot of each robot.
         self._snapshots: dict[int, StateSnapshot] = {}
-        self._deferred = DeferredReplies()
+        self.deferred = session.DeferredReplies()
 
     # Calls.
 
@@ -623,7 +583,7 @@ class ServerState:
             answer = self._execute(call, context)
         # 5. These replies contain State slots: they count as sent for slots that the mask excludes.
         if not isinstance(answer, Reply):
-            return self.defer(context, self.estop.until_held(answer, call, context))
+            return self.deferred.add(context, self.estop.until_held(answer, call, context))
         if name in STATE_QUERIES:
             context.update_last_sent(answer.slots)
         return answer
@@ -646,7 +606,7 @@ class ServerState:
             self.traces.update(self.simulation.time_s, self.simulation.robots)
             for robot_id in self.arms:
                 self._advance_arm(robot_id)
-            self._deferred.poll()
+            self.deferred.poll()
             left_ps -= step_ps
 
     @property
@@ -656,25 +616,15 @@ class ServerState:
 
     # Deferred replies.
 
-    def defer(self, context: ConnectionContext, poll: DeferredReply) -> DeferredReply:
-        """Register a deferred reply; returns one that is built at the moment it is due."""
-        return self._deferred.add(context, poll)
-
-    def cancel_deferred(self, context: ConnectionContext) -> None:
-        """Drop the deferred replies of a connection."""
-        self._deferred.cancel(context)
-
     # Connections.
 
     def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
         """Return the robot that a connection is connected to."""
-        assert context.robot_id is not None
-        return self.simulation.robots[context.robot_id]
+        return self.simulation.robots[context.robot]
 
     def claim_axes(self, context: ConnectionContext, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """Make a connection the owner of axes of its robot, and return the robot."""
-        assert context.robot_id is not None
-        self.axis_ownership.claim(context, context.robot_id, axes)
+        self.axis_ownership.claim(context, context.robot, axes)
         return self.robot_of(context)
 
     def prepare_reply(self, context: ConnectionContext, call: Call | None = None) -> bool:
@@ -725,15 +675,14 @@ class ServerState:
 
     def feed_watchdog(self, context: ConnectionContext) -> None:
         """Restart the command timeout (conf_tm) of a connection's robot, unless only other connections move it."""
-        assert context.robot_id is not None
-        robot = self.simulation.robots[context.robot_id]
-        if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
+        robot = self.robot_of(context)
+        if self.axis_ownership.may_feed_watchdog(context, context.robot, robot):
             robot.feed()
 
     def on_disconnect(self, context: ConnectionContext) -> None:
         """Stop what a closed connection set in motion, and drop its pending requests."""
         self.invalidate_state_cache()
-        self._deferred.cancel(context)
+        self.deferred.cancel(context)
         self.pose_requests.cancel(context)
         self.axis_ownership.on_disconnect(context, self.simulation.robots)
         for robot_id in self.axis_ownership.release_arms(context):
@@ -760,17 +709,16 @@ class ServerState:
         They belong to the robot and outlive connections; after a restore they are as at power-on.
         """
         if robot_id not in self._serial_wire_states:
-            model = get_model(self.simulation.robots[robot_id].model.family)
-            self._serial_wire_states[robot_id] = serial_wire_state(model)
+            model = types.get_model(self.simulation.robots[robot_id].model.family)
+            self._serial_wire_states[robot_id] = types.serial_wire_state(model)
         return self._serial_wire_states[robot_id]
 
     # Arms.
 
     def arm_of(self, context: ConnectionContext) -> Arm:
         """Return the arm of a connection's robot as of now."""
-        assert context.robot_id is not None
-        self.arms.setdefault(context.robot_id, Arm())
-        return self._advance_arm(context.robot_id)
+        self.arms.setdefault(context.robot, Arm())
+        return self._advance_arm(context.robot)
 
     def stop_arm(self, robot_id: int) -> None:
         """Stop the arm of a robot if it was ever used."""
@@ -794,12 +742,11 @@ class ServerState:
         Between two steps a robot changes by commands only: all connections share one snapshot of it, and a connection
         that polls gets the same reply again, which its session has encoded already.
         """
-        assert context.robot_id is not None
-        robot, wire_state = self.simulation.robots[context.robot_id], context.wire_state
-        snapshot = self._snapshots.get(context.robot_id)
+        robot, wire_state = self.robot_of(context), context.wire_state
+        snapshot = self._snapshots.get(context.robot)
         if snapshot is None or snapshot.time_ps != self.simulation.time_ps:
             snapshot = StateSnapshot(robot, self.clock.speed_tenths, self.simulation.time_ps)
-            self._snapshots[context.robot_id] = snapshot
+            self._snapshots[context.robot] = snapshot
         cached = context.cached_state
         # A robot's own lines share mask and laser mode, so another connection may change them.
         if (
@@ -816,7 +763,3 @@ class ServerState:
     def invalidate_state_cache(self) -> None:
         """Discard all state snapshots after a change that is not due to time."""
         self._snapshots.clear()
-
-    def layers(self, robot_id: int) -> dict[str, Any]:
-        """Return what a robot's window shows as plain data (graphics.py). Raise KeyError if there is no such robot."""
-        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)

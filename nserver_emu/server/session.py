@@ -146,6 +146,12 @@ class ConnectionContext:
     # True while a person holds the robot: word 44 of its state replies is HELD.
     is_held: bool = False
 
+    @property
+    def robot(self) -> int:
+        """The robot chosen by CONNECT, without which no handler of a robot's command is called."""
+        assert self.robot_id is not None
+        return self.robot_id
+
     def update_last_sent(self, slots: Mapping[int, int]) -> None:
         """Record State slots sent in a reply that is not a state packet."""
         # A new list: the old one may be shared with other connections.
@@ -321,12 +327,9 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
     """
 
     def __init__(
-        self,
-        answer: Answer,
-        name: str = "client",
-        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
-        max_words: int = Limits().frame,
-    ) -> None:
+        self, answer: Answer, name: str = "client",
+        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (), max_words: int = Limits().frame
+    ) -> None:  # fmt: skip
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
@@ -371,7 +374,8 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         """Read an incomplete CONNECT as one to robot 0, because the rest of a 64-bit message has not come."""
         if self._framer.may_be_narrow:
             log.warning("%s: connects to robot 0; the numbers of robots begin with 1", self.name, extra=self.log_extra)
-            self._queue.extend(self._framer.reread_as_narrow())
+            self._framer.wide = False
+            self._queue.extend(self._framer.receive(b""))
 
     def _identify(self, head: bytes) -> None:
         """Continue the session of another connection if this one does not start with CONNECT."""

@@ -232,9 +232,7 @@ relative_std: Any = partial(
 )
 """The setting `range_std_relative` of every sensor that measures ranges."""
 
-_std_floor: Any = partial(
-    setting, low=0, high=10, unit="in", meaning="lower bound of that", former="least_std_in"
-)
+_std_floor: Any = partial(setting, low=0, high=10, unit="in", meaning="lower bound of that", former="least_std_in")
 _decibels: Any = partial(setting, unit="dB")
 
 

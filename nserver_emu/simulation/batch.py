@@ -81,16 +81,9 @@ class BatchSimulation:
     """
 
     def __init__(
-        self,
-        worlds: World | Sequence[World],
-        robots: int | None = None,
-        *,
-        starts: npt.ArrayLike | None = None,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        seed: int = 0,
-        threads: int | None = None,
-    ) -> None:
+        self, worlds: World | Sequence[World], robots: int | None = None, *, starts: npt.ArrayLike | None = None,
+        model: RobotModel = N150, setup: RobotSetup = IDEAL, seed: int = 0, threads: int | None = None,
+    ) -> None:  # fmt: skip
         # 1. What a batch can simulate.
         self.model, self.setup, self.seed = model, apply_model(model, setup), seed
         _check(model, self.setup)

@@ -35,15 +35,7 @@ from numba.np.random import _constants
 
 from nserver_emu.simulation import acoustics, axis, collision, drive, odometry, segments, sonar
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Phase, advance_phases, phase_now, plan_distance, plan_velocity
-from nserver_emu.simulation.collision import (
-    NO_CONTACT,
-    TOUCH_IN,
-    Capsule,
-    Contact,
-    PlacedSegment,
-    find_contact,
-    touched_bumpers,
-)
+from nserver_emu.simulation.collision import Capsule, Contact, PlacedSegment
 from nserver_emu.simulation.drive import NO_TRACK, AxisRate, path_segment, until_reversal
 from nserver_emu.simulation.noise import Purpose, RngFactory
 from nserver_emu.simulation.odometry import disturbed_segment, erroneous_segment
@@ -474,9 +466,7 @@ def _follow(
     return taken_s
 
 
-def _turn_uncounted(
-    robot: np.void, settings: np.void, body_rad: float, counted_rad: float
-) -> None:
+def _turn_uncounted(robot: np.void, settings: np.void, body_rad: float, counted_rad: float) -> None:
     if not settings["has_exact_motion"]:
         robot["pose"][YAW] += body_rad
         robot["pose"][LAG] += (settings["scales"][2] - 1.0) * counted_rad
@@ -492,12 +482,12 @@ def _contact(
     # Most segments are shorter than the clearance: nothing needs to be examined.
     distance = segment.length_bound(segment.duration_s)
     if distance == 0.0 or distance < robot["clearance_in"]:
-        return NO_CONTACT
+        return collision.NO_CONTACT
     capsules = _walls_within(robot, settings, walls, gaps, distance)
     if not len(capsules):
-        return NO_CONTACT
+        return collision.NO_CONTACT
     placed = PlacedSegment(robot["pose"][X], robot["pose"][Y], heading_rad, segment)
-    return find_contact(placed, settings["radius_in"], capsules)
+    return collision.find_contact(placed, settings["radius_in"], capsules)
 
 
 def _walls_within(
@@ -522,14 +512,15 @@ def _walls_within(
 def _bumpers(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray) -> int:
     bits = 0
     # Nothing can be that near.
-    if robot["clearance_in"] > TOUCH_IN:
+    if robot["clearance_in"] > collision.TOUCH_IN:
         return bits
     # The bumpers of a differential drive turn with its heading.
     frame_rad = 0.0 if settings["track_in"] == NO_TRACK else robot["angles"][STEERING]
     front = frame_rad + robot["pose"][YAW]
-    for capsule in _walls_within(robot, settings, walls, gaps, TOUCH_IN):
+    for capsule in _walls_within(robot, settings, walls, gaps, collision.TOUCH_IN):
         _, away_x, away_y = capsule.gap_to(0.0, robot["pose"][X], robot["pose"][Y])
-        bits |= touched_bumpers(atan2(-away_y, -away_x) - front, settings["bumper_angles_rad"][: settings["bumpers"]])
+        bumper_angles = settings["bumper_angles_rad"][: settings["bumpers"]]
+        bits |= collision.touched_bumpers(atan2(-away_y, -away_x) - front, bumper_angles)
     return bits
 
 
@@ -564,9 +555,7 @@ def _fire_due(robot: np.void, settings: np.void) -> None:
         _fire_entry(robot, settings, robot["pose"][X], robot["pose"][Y], turret_rad)
 
 
-def _fire_entry(
-    robot: np.void, settings: np.void, x_in: float, y_in: float, turret_rad: float
-) -> None:
+def _fire_entry(robot: np.void, settings: np.void, x_in: float, y_in: float, turret_rad: float) -> None:
     """Fire the next entry of the order at this pose."""
     entry = robot["fired"] % settings["entries"]
     for at in range(settings["starts"][entry], settings["starts"][entry + 1]):
@@ -585,10 +574,7 @@ def _skip_entry(robot: np.void, settings: np.void) -> None:
     robot["due_ps"] += settings["interval_ps"]
 
 
-def _fire(
-    robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float,
-    turret_rad: float,
-) -> None:  # fmt: skip
+def _fire(robot: np.void, settings: np.void, sonar_number: int, x_in: float, y_in: float, turret_rad: float) -> None:
     direction_rad = turret_rad + settings["turned_rad"] + settings["sonar_angles_rad"][sonar_number]
     if settings["has_shifts"]:
         x_in, y_in = shifted(x_in, y_in, direction_rad, settings["shifts_in"][sonar_number])
@@ -677,9 +663,7 @@ def _smallest(values: FloatArray, begin: int, end: int) -> float:
 
 # Compiling.
 
-_SOURCES: Final[tuple[ModuleType, ...]] = (
-    acoustics, axis, collision, drive, odometry, segments, sonar, raycast, rings,
-)  # fmt: skip
+_SOURCES: Final[tuple[ModuleType, ...]] = (acoustics, axis, collision, drive, odometry, segments, sonar, raycast, rings)
 """Modules whose functions are compiled where the loops call them."""
 
 _FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (

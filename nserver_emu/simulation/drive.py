@@ -21,12 +21,7 @@ from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, w
 from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(
-    top_speed=0.0,
-    top_acceleration=1.0,
-    min_acceleration=1.0,
-    speed=0.0,
-    acceleration=1.0,
-    resolution=0.0,
+    top_speed=0.0, top_acceleration=1.0, min_acceleration=1.0, speed=0.0, acceleration=1.0, resolution=0.0
 )
 """The limits of an axis that does not exist: it accepts every command and never moves."""
 
@@ -60,21 +55,16 @@ def axis_rates(segment: ConstantAccelerationSegment, track_in: float) -> tuple[A
     return AxisRate(speed + faster, acceleration + gaining), AxisRate(speed - faster, acceleration - gaining)
 
 
-def path_segment(
-    duration_s: float, first: AxisRate, second: AxisRate, track_in: float
-) -> ConstantAccelerationSegment:
+def path_segment(duration_s: float, first: AxisRate, second: AxisRate, track_in: float) -> ConstantAccelerationSegment:
     """Return the segment that both axes of a drive cause; the inverse of `axis_rates`."""
     velocity_1, acceleration_1 = first
     velocity_2, acceleration_2 = second
     if track_in == NO_TRACK:
         return ConstantAccelerationSegment(duration_s, velocity_1, acceleration_1, velocity_2, acceleration_2)
     return ConstantAccelerationSegment(
-        duration_s,
-        0.5 * (velocity_1 + velocity_2),
-        0.5 * (acceleration_1 + acceleration_2),
-        (velocity_1 - velocity_2) / track_in,
-        (acceleration_1 - acceleration_2) / track_in,
-    )
+        duration_s, 0.5 * (velocity_1 + velocity_2), 0.5 * (acceleration_1 + acceleration_2),
+        (velocity_1 - velocity_2) / track_in, (acceleration_1 - acceleration_2) / track_in,
+    )  # fmt: skip
 
 
 def until_reversal(segment: ConstantAccelerationSegment) -> ConstantAccelerationSegment:
@@ -143,14 +133,6 @@ class SynchroDrive:
     def velocity_bounds(self) -> tuple[float, float]:
         """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
         return self.translation.velocity_bounds
-
-    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
-        """Return the rates of translation and steering on a segment."""
-        return axis_rates(segment, NO_TRACK)
-
-    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
-        """Return the segment that translation and steering cause; the inverse of `axis_rates`."""
-        return path_segment(duration_s, first, second, NO_TRACK)
 
     def advance(self, dt_s: float) -> float:
         """Advance all axes by dt_s seconds and return the turn of the turret, radians."""
@@ -240,7 +222,7 @@ class DifferentialDrive:
         # 1. The path until a wheel changes its acceleration.
         right_s, *right = self.right.current_phase
         left_s, *left = self.left.current_phase
-        segment = self.path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left))
+        segment = path_segment(min(max_s, right_s, left_s), AxisRate(*right), AxisRate(*left), self.track_in)
         # 2. Until the robot reverses.
         return until_reversal(segment)
 
@@ -259,14 +241,6 @@ class DifferentialDrive:
         """Bounds of the velocity until the next command, lower <= 0 <= upper, in/s."""
         (right_lower, right_upper), (left_lower, left_upper) = self.right.velocity_bounds, self.left.velocity_bounds
         return 0.5 * (right_lower + left_lower), 0.5 * (right_upper + left_upper)
-
-    def axis_rates(self, segment: ConstantAccelerationSegment) -> tuple[AxisRate, AxisRate]:
-        """Return the rates of the right and the left wheel on a segment."""
-        return axis_rates(segment, self.track_in)
-
-    def path_segment(self, duration_s: float, first: AxisRate, second: AxisRate) -> ConstantAccelerationSegment:
-        """Return the segment that the right and the left wheel cause; the inverse of `axis_rates`."""
-        return path_segment(duration_s, first, second, self.track_in)
 
     def advance(self, dt_s: float) -> float:
         """Advance both wheels by dt_s seconds and return the turn of the turret: 0, there is none."""
@@ -416,9 +390,7 @@ class Chassis:
         placed = collision.PlacedSegment(self._x_in, self._y_in, self.heading(steering_rad), segment)
         return collision.first_contact(placed, self.body.radius_in, capsules)
 
-    def follow(
-        self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float
-    ) -> tuple[float, float]:
+    def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> tuple[float, float]:
         """Move `time_s` seconds along a segment that starts here; return (dx, dy) in inches."""
         # Moving reduces both bounds by at most the length of the path.
         dx, dy = segment.displacement(steering_rad + self._yaw_rad, time_s)

@@ -283,9 +283,7 @@ def off_walls(
     return echoes
 
 
-def off_edges(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, walls: list[Wall]
-) -> None:
+def off_edges(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, walls: list[Wall]) -> None:
     """Add the echoes off ends and vertices of walls in the cone, except where a wall continues straight."""
     end_x, end_y = inf, inf
     for x1, y1, x2, y2 in walls:

@@ -423,9 +423,7 @@ def _set_obstacles(robots: Sequence[MovingBody], row: int, others: Iterable[int]
     robots[row].set_obstacles([robots[other].disc for other in others])
 
 
-def _may_meet(
-    robots: Sequence[MovingBody], pairs: Iterable[Pair], bounds: Mapping[int, SweptBounds]
-) -> list[Pair]:
+def _may_meet(robots: Sequence[MovingBody], pairs: Iterable[Pair], bounds: Mapping[int, SweptBounds]) -> list[Pair]:
     """Return the pairs that may meet if each robot moves within its bounds."""
     met: list[Pair] = []
     for row, other in pairs:

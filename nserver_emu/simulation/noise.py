@@ -98,39 +98,24 @@ class RobotSetup:
 
 IDEAL: Final = RobotSetup("ideal")
 NOISY: Final = RobotSetup(
-    "noisy",
-    ramps=True,
-    motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
+    "noisy", ramps=True, motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
     sonar=SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05),
-)
+)  # fmt: skip
 MEASURED: Final = RobotSetup(
-    "measured",
-    ramps=True,
-    motion=NOISY.motion,
-    sonar=Polaroid(),
+    "measured", ramps=True, motion=NOISY.motion, sonar=Polaroid(),
     infrared=InfraredNoise(range_std_relative=0.05, slanted=True),
-    compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
-    clock_step_s=0.0164,
-)
+    compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)), clock_step_s=0.0164,
+)  # fmt: skip
 BUILDING: Final = replace(
     MEASURED,
     name="building",
     # The level of the echo alone ends the cone: a wall is detected to 20 to 25 degrees, as posts are in real data.
     sonar=Polaroid(
-        range_std_relative=0.003,
-        cone_rad=radians(50.0),
-        cone_loss_db=24.0,
-        surface_std_in=1.6,
-        surface_length_in=24.0,
-        post_spacing_in=40.0,
-        post_loss_db=8.0,
+        range_std_relative=0.003, cone_rad=radians(50.0), cone_loss_db=24.0, surface_std_in=1.6, surface_length_in=24.0,
+        post_spacing_in=40.0, post_loss_db=8.0,
     ),
 )
-WORN: Final = replace(
-    NOISY,
-    name="worn",
-    odometry=Odometry(scales=(1.0015, 1.0, 1.0), drifts=(7e-5, 0.0), slip_in=0.1),
-)
+WORN: Final = replace(NOISY, name="worn", odometry=Odometry(scales=(1.0015, 1.0, 1.0), drifts=(7e-5, 0.0), slip_in=0.1))
 
 SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
     {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, BUILDING, WORN)}

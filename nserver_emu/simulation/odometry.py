@@ -75,9 +75,7 @@ class MotionNoise:
         """Return the standard deviation of the body's turn on that distance."""
         return _walk_std(self.alpha1, angle_rad, self.alpha2, distance_in)
 
-    def disturbed(
-        self, segment: ConstantAccelerationSegment, rng: np.random.Generator
-    ) -> ConstantAccelerationSegment:
+    def disturbed(self, segment: ConstantAccelerationSegment, rng: np.random.Generator) -> ConstantAccelerationSegment:
         """Return the true motion for a commanded one: the same duration, another length, and a turn of the body.
 
         Draws twice if anything moves and there is noise; otherwise returns the same object without drawing.
@@ -112,12 +110,9 @@ def disturbed_segment(
     # Scaling keeps the duration and the shape of the speed profile.
     scale = 1.0 + longer / distance if distance else 1.0
     return ConstantAccelerationSegment(
-        duration,
-        speed * scale if distance else longer / duration,
-        acceleration * scale,
-        turn_rate + turned / duration,
+        duration, speed * scale if distance else longer / duration, acceleration * scale, turn_rate + turned / duration,
         turn_acceleration,
-    )
+    )  # fmt: skip
 
 
 NO_NOISE: Final = MotionNoise()
@@ -176,22 +171,18 @@ def erroneous_segment(
     if track_in == NO_TRACK:
         duration, speed, acceleration, turn_rate, turn_acceleration = segment
         return ConstantAccelerationSegment(
-            duration,
-            scales[0] * speed,
-            scales[0] * acceleration,
+            duration, scales[0] * speed, scales[0] * acceleration,
             scales[1] * turn_rate + drifts[0] * speed + drifts[1] * turn_rate,
             scales[1] * turn_acceleration + drifts[0] * acceleration + drifts[1] * turn_acceleration,
-        )
+        )  # fmt: skip
     first, second = axis_rates(segment, track_in)
     path = path_segment(segment.duration_s, first.times(scales[0]), second.times(scales[1]), track_in)
     # 2. Drift of the body.
     return ConstantAccelerationSegment(
-        path.duration_s,
-        path.speed,
-        path.acceleration,
+        path.duration_s, path.speed, path.acceleration,
         path.turn_rate + drifts[0] * first.velocity + drifts[1] * second.velocity,
         path.turn_acceleration + drifts[0] * first.acceleration + drifts[1] * second.acceleration,
-    )
+    )  # fmt: skip
 
 
 EXACT: Final = Odometry()
@@ -231,11 +222,9 @@ class Encoders:
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """Return the encoder pose at these mechanical angles."""
         return Pose(
-            self._x_in,
-            self._y_in,
-            wrap_to_2pi(steering_rad + self._steering_offset_rad),
+            self._x_in, self._y_in, wrap_to_2pi(steering_rad + self._steering_offset_rad),
             wrap_to_2pi(turret_rad + self._turret_offset_rad),
-        )
+        )  # fmt: skip
 
     def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> None:
         """Integrate `time_s` seconds of a segment that starts at this mechanical steering angle."""

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from nserver_emu.simulation import segments, sensors
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
@@ -23,28 +24,8 @@ from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.multi_robot import STATIONARY, Disc, SweptBounds
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory, RobotSetup, apply_model
 from nserver_emu.simulation.odometry import Encoders, EncoderState
-from nserver_emu.simulation.segments import (
-    AT_REST,
-    PS_PER_S,
-    TIME_MAX_PS,
-    ConstantAccelerationSegment,
-    MotionSegment,
-    PathSegment,
-    Pose,
-    SegmentTime,
-    Velocities,
-    to_ps,
-    to_s,
-)
-from nserver_emu.simulation.sensors import (
-    Compass,
-    CompassState,
-    InfraredRing,
-    InfraredState,
-    last_reading_ps,
-    ranges,
-    select_columns,
-)
+from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, ConstantAccelerationSegment, SegmentTime, to_ps, to_s
+from nserver_emu.simulation.sensors import Compass, CompassState, InfraredRing, InfraredState, last_reading_ps, ranges
 from nserver_emu.simulation.sonar import SonarRing, SonarState
 from nserver_emu.simulation.visibility import NO_OTHERS, PositionProvider, SensorPose
 from worlds.geometry import FloatArray
@@ -141,18 +122,10 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self,
-        rng_factory: RngFactory,
-        start: StartPose,
-        walls: FloatArray,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        now_ps: int = 0,
-        positions: PositionProvider = NO_OTHERS,
-        self_index: int = 0,
-        *,
+        self, rng_factory: RngFactory, start: StartPose, walls: FloatArray, model: RobotModel = N150,
+        setup: RobotSetup = IDEAL, now_ps: int = 0, positions: PositionProvider = NO_OTHERS, self_index: int = 0, *,
         powered: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.rng_factory = rng_factory
         self.model = model
         self.setup = self.initial_setup = setup = apply_model(model, setup)
@@ -172,7 +145,7 @@ class SimulatedRobot:
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, WallSet(walls), start.x_in, start.y_in)
         self._has_exact_motion = setup.has_exact_motion
-        self._trajectory: list[PathSegment] | None = None
+        self._trajectory: list[segments.PathSegment] | None = None
         # Sensors, each with a random stream of its own.
         self._rngs = tuple(rng_factory.stream(purpose) for purpose in Purpose)
         self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR], rng_factory.seed)
@@ -208,9 +181,7 @@ class SimulatedRobot:
         )  # fmt: skip
 
     @classmethod
-    def from_state(
-        cls, state: RobotState, rng_factory: RngFactory, walls: FloatArray, now_ps: int
-    ) -> SimulatedRobot:
+    def from_state(cls, state: RobotState, rng_factory: RngFactory, walls: FloatArray, now_ps: int) -> SimulatedRobot:
         """Return the robot of a state at an instant; raise ValueError if there can be none."""
         # 1. Values that a robot is built from.
         state.model.check()
@@ -328,14 +299,15 @@ class SimulatedRobot:
     def _segment_time(self, instant_ps: int) -> SegmentTime:
         """Return the time stamp of a reading at the current pose."""
         turret_rad = self._encoders.turret(self._drive.turret_rad)
-        return SegmentTime(self._motion_segment(AT_REST), 0.0, turret_rad, instant_ps / PS_PER_S)
+        return SegmentTime(self._motion_segment(segments.AT_REST), 0.0, turret_rad, instant_ps / PS_PER_S)
 
-    def _motion_segment(self, segment: ConstantAccelerationSegment) -> MotionSegment:
+    def _motion_segment(self, segment: ConstantAccelerationSegment) -> segments.MotionSegment:
         """Return a segment that starts now, as the encoders count it."""
         drive, encoders = self._drive, self._encoders
         first, second, third = drive.axes
         heading_rad = encoders.heading(drive.steering_rad)
-        return MotionSegment(*encoders.position, heading_rad, segment, (first.motion, second.motion, third.motion))
+        motions = first.motion, second.motion, third.motion
+        return segments.MotionSegment(*encoders.position, heading_rad, segment, motions)
 
     def _emit_along(self, segment: ConstantAccelerationSegment, begin_s: float, taken_s: float) -> None:
         """Fire the sonars that are due within the first seconds of a segment, which is about to begin.
@@ -403,7 +375,7 @@ class SimulatedRobot:
         taken_s = free_s if is_blocked else duration
         if self._trajectory is not None:
             begin_ps = self._time_ps + round(begin_s * PS_PER_S)
-            self._trajectory.append(PathSegment(begin_ps, *chassis.position, heading, actual, free_s))
+            self._trajectory.append(segments.PathSegment(begin_ps, *chassis.position, heading, actual, free_s))
         # 3. Sonars, then the chassis and the encoders. Without errors both move by the same numbers.
         self._emit_along(segment, begin_s, taken_s)
         displacement = chassis.follow(actual, free_s, steering_rad)
@@ -440,12 +412,12 @@ class SimulatedRobot:
         return not any(moving[axis] for axis in axes)
 
     @property
-    def encoder(self) -> Pose:
+    def encoder(self) -> segments.Pose:
         """The pose by the encoders: what State reports."""
         return self._encoders.pose(self._drive.steering_rad, self._drive.turret_rad)
 
     @property
-    def actual(self) -> Pose:
+    def actual(self) -> segments.Pose:
         """The true pose."""
         return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
 
@@ -504,13 +476,13 @@ class SimulatedRobot:
         return SweptBounds(forward * x, forward * y, backward * x, backward * y, deviation_in)
 
     @property
-    def velocities(self) -> Velocities:
+    def velocities(self) -> segments.Velocities:
         """Velocities that the encoders show, by axis; never 0 from the command to the end of a motion."""
         first, second, third = self._drive.axes
         return first.shown_velocity, second.shown_velocity, third.shown_velocity
 
     @property
-    def accelerations(self) -> Velocities:
+    def accelerations(self) -> segments.Velocities:
         """Current accelerations by axis, per second squared; 0 where axes jump."""
         first, second, third = self._drive.axes
         return first.current_phase[2], second.current_phase[2], third.current_phase[2]
@@ -693,7 +665,7 @@ class SimulatedRobot:
         # Other robots may be set down elsewhere at the same instant.
         if len(pose.robots.discs) > 1:
             self._scan = None
-        return select_columns(scan.ranges_in, columns)
+        return sensors.select_columns(scan.ranges_in, columns)
 
     # Surroundings
 

@@ -9,17 +9,9 @@ from dataclasses import dataclass
 from math import hypot
 
 from nclient.errors import StartError
+from nserver_emu.simulation import multi_robot
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.multi_robot import (
-    Disc,
-    GroupState,
-    MovingBody,
-    RobotGroup,
-    SimulatedWalker,
-    SpatialHash,
-    WalkerState,
-    update_obstacles,
-)
+from nserver_emu.simulation.multi_robot import Disc, GroupState, MovingBody, RobotGroup, SimulatedWalker, SpatialHash
 from nserver_emu.simulation.noise import IDEAL, RngFactory, RobotSetup
 from nserver_emu.simulation.robot import RobotState, SimulatedRobot
 from nserver_emu.simulation.segments import TIME_MAX_PS, to_ps, to_s
@@ -36,7 +28,7 @@ class SimulationState:
     world: WorldState
     robots: dict[int, RobotState]
     group: GroupState
-    walkers: tuple[WalkerState, ...] | None = None
+    walkers: tuple[multi_robot.WalkerState, ...] | None = None
 
 
 class Simulation:
@@ -75,7 +67,7 @@ class Simulation:
     def __init__(self, world: World, seed: int = 0, time_ps: int = 0) -> None:
         self.seed = seed
         self.robots: dict[int, SimulatedRobot] = {}
-        self._world = world
+        self.world = world
         self.time_ps = time_ps
         # Empty while there is only one body.
         self._group = RobotGroup()
@@ -91,7 +83,7 @@ class Simulation:
         robots = {number: robot.to_state() for number, robot in self.robots.items()}
         walkers = tuple(walker.to_state() for walker in self.walkers) or None
         group = self._group.to_state()
-        return SimulationState(self.seed, self.time_ps, WorldState.of(self._world), robots, group, walkers)
+        return SimulationState(self.seed, self.time_ps, WorldState.of(self.world), robots, group, walkers)
 
     @classmethod
     def from_state(cls, state: SimulationState) -> Simulation:
@@ -125,24 +117,14 @@ class Simulation:
         return [*self.robots.values(), *self.walkers]
 
     @property
-    def world(self) -> World:
-        """The world of all robots."""
-        return self._world
-
-    @property
     def time_s(self) -> float:
         """Simulated time since the beginning."""
         return to_s(self.time_ps)
 
     def add_robot(
-        self,
-        robot_id: int,
-        start: StartPose | None = None,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        *,
+        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL, *,
         powered: bool = True,
-    ) -> SimulatedRobot:
+    ) -> SimulatedRobot:  # fmt: skip
         """Put a robot into the world.
 
         Parameters
@@ -162,11 +144,11 @@ class Simulation:
         if robot_id in self.robots:
             raise ValueError(f"robot {robot_id} is here already")
         # 1. The position must be free.
-        pose = self._world.starts[0] if start is None else start
+        pose = self.world.starts[0] if start is None else start
         self.require_free(pose.x_in, pose.y_in, model.body.radius_in)
         # 2. The robot, without power: its sensors must not measure before it is connected.
         rng_factory = RngFactory(robot_id, self.seed)
-        robot = SimulatedRobot(rng_factory, pose, self._world.walls, model, setup, self.time_ps, powered=False)
+        robot = SimulatedRobot(rng_factory, pose, self.world.walls, model, setup, self.time_ps, powered=False)
         # 3. Robots stay in the order of their numbers, which is that of their rows in `RobotGroup`.
         is_in_order = not self.robots or robot_id > next(reversed(self.robots))
         self.robots[robot_id] = robot
@@ -212,7 +194,7 @@ class Simulation:
     def _set_obstacles(self) -> None:
         """Let bodies touch one another where they are now, if there are several."""
         if len(bodies := self.bodies) > 1:
-            update_obstacles(bodies)
+            multi_robot.update_obstacles(bodies)
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
         """Raise StartError where a robot of this radius touches anything; the message says what.
@@ -222,7 +204,7 @@ class Simulation:
         robot_id
             Number of the robot, if it is in the world already.
         """
-        self._world.require_free(x_in, y_in, radius_in)
+        self.world.require_free(x_in, y_in, radius_in)
         for number, (x, y, radius) in self.spatial_hash.touched(x_in, y_in, radius_in):
             if number != robot_id:
                 raise StartError(
@@ -251,7 +233,7 @@ class Simulation:
     def change_world(self, world: World) -> None:
         """Replace the world now; earlier readings do not change. Walkers that the new world has as well walk on."""
         # 1. Walls.
-        self._world = world
+        self.world = world
         for robot in self.robots.values():
             robot.set_walls(world.walls)
         # 2. Walkers: those that stay, and new ones at the beginning of their routes.
@@ -264,21 +246,18 @@ class Simulation:
             if len(self.bodies) > 1:
                 self._set_positions()
             else:
-                self._forget_other_bodies()
+                # The one robot that is left, if any, is without other bodies.
+                self._group = RobotGroup()
+                for robot in self.robots.values():
+                    robot.stand_alone()
         self._set_obstacles()
-
-    def _forget_other_bodies(self) -> None:
-        """Leave the one robot that is left, if any, without other bodies."""
-        self._group = RobotGroup()
-        for robot in self.robots.values():
-            robot.stand_alone()
 
     def _continued(self, walker: Walker) -> SimulatedWalker:
         """Return the body of a walker that goes on, or that of a new one, which starts now."""
         for body in self.walkers:
             if body.walker is walker:
                 return body
-        return SimulatedWalker(walker, self._world.walls, self.time_ps)
+        return SimulatedWalker(walker, self.world.walls, self.time_ps)
 
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.

@@ -102,9 +102,7 @@ def noisy_range(range_in: float, noise: float, relative: float, floor_in: float)
     return range_in + noise * range_std_in(range_in, relative, floor_in) if noise and range_in < inf else range_in
 
 
-def shifted(
-    x_in: float, y_in: float, direction_rad: float, shift_in: Sequence[float]
-) -> tuple[float, float]:
+def shifted(x_in: float, y_in: float, direction_rad: float, shift_in: Sequence[float]) -> tuple[float, float]:
     """Return a point moved along a direction and to the left of it."""
     cosine, sine = cos(direction_rad), sin(direction_rad)
     forwards_in, left_in = shift_in[0], shift_in[1]

@@ -116,15 +116,9 @@ FAR_IN: Final = 1e6
 
 
 def nearest_disc(
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    wall_in: float,
-    discs: Sequence[Sequence[float]] | FloatArray,
-    own: int,
+    x: float, y: float, dx: float, dy: float, wall_in: float, discs: Sequence[Sequence[float]] | FloatArray, own: int,
     max_radius_in: float,
-) -> float:
+) -> float:  # fmt: skip
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest robot, or to a nearer wall, inches.
 
     Parameters
@@ -165,14 +159,7 @@ def _first_from(discs: Sequence[Sequence[float]] | FloatArray, low: float) -> in
 
 
 def nearest_obstacle(
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    walls: FloatArray,
-    discs: FloatArray,
-    own: int,
-    max_radius_in: float,
+    x: float, y: float, dx: float, dy: float, walls: FloatArray, discs: FloatArray, own: int, max_radius_in: float
 ) -> float:
     """Return the range along a ray to the nearest wall (m, 4) or robot: `nearest_wall`, then `nearest_disc`."""
     rows = zip(walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3])  # noqa: B905  for numba

@@ -199,6 +199,4 @@ def _old_tokens(path: Path) -> dict[str, str]:
     if not target.is_file() or target.stat().st_mode & _OTHERS:
         return {}
     rows = csv.DictReader(io.StringIO(read_text(target, MAX_BYTES, ClassFileError)))
-    return {
-        row["name"]: token for row in rows if row.get("name") and _TOKEN.fullmatch(token := row.get("token") or "")
-    }
+    return {row["name"]: token for row in rows if row.get("name") and _TOKEN.fullmatch(token := row.get("token") or "")}

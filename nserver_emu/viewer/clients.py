@@ -30,7 +30,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, tcp_wire_state
 from nclient.recording.recorder import TCP
-from nserver_emu.server.connection import CLOSED, ConnectionHandler
+from nserver_emu.server.connection import ConnectionHandler, ConnectionState
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.estop import MOTIONS
 from nserver_emu.server.session import Session
@@ -136,10 +136,10 @@ class ViewerClient(ConnectionHandler):
 
     def close(self) -> None:
         """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
-        if self.state is CLOSED:
+        if self.state is ConnectionState.CLOSED:
             return
         # 1. No more turns; what this connection moves is stopped by on_disconnect.
-        self.state = CLOSED
+        self.state = ConnectionState.CLOSED
         self._cancel_timers()
         self._server.connections.discard(self)
         self._handler.on_disconnect(self.session.context)
@@ -169,12 +169,6 @@ class ViewerClient(ConnectionHandler):
     def _set_reading(self, on: bool) -> None:
         """Do nothing: there is no socket to read."""
 
-    def _close_port(self) -> None:
-        self.close()
-
-    def _abort(self) -> None:
-        self.close()
-
 
 def _answer(name: str, reply: Reply) -> Answer:
     if reply.kind == "error":
@@ -188,9 +182,7 @@ class ViewerClients:
     `to_answer` makes the answer of a call's name and reply; by default the one that pages get.
     """
 
-    def __init__(
-        self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, to_answer: ToAnswer = _answer
-    ) -> None:
+    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, to_answer: ToAnswer = _answer) -> None:
         self._to_answer = to_answer
         self._daemon = daemon
         self._error_boundary = error_boundary

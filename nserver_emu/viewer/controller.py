@@ -106,7 +106,7 @@ class ViewerController:
 
     def leave(self, viewer: Viewer) -> None:
         """Remove a page; what it drove stops."""
-        self.broadcaster.leave(viewer)
+        self.broadcaster.viewers.discard(viewer)
         self._clients.pop(viewer).close()
         self.traffic_monitor.watched = self.broadcaster.watch_traffic
         self._accept_pose_clicks()

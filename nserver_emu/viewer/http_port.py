@@ -421,9 +421,7 @@ class HttpPort:
         if is_limited and len(self._sockets) >= self.door.limits.viewers:
             self.door.reject(request.remote or "", f"too many {clients} (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text=f"too many {clients}: close one (--limit-viewers)\n")
-        socket = web.WebSocketResponse(
-            compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=max_bytes
-        )
+        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=max_bytes)
         self._sockets.add(socket)
         writer = None
         try:

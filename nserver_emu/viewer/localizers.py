@@ -272,7 +272,9 @@ class Localizers:
                 text = line.decode(errors="replace").replace(token or "\0", "...").strip()
                 if text:
                     lines.append(text)
-                    self._report_progress(state, text)
+                    # The page shows what a starting localizer waits for.
+                    if state.state == "starting" and not text.startswith("{"):
+                        self._change(state, "starting", text.removeprefix("nomad: "))
             code = await process.wait()
         except asyncio.CancelledError:
             await _complete(_end(process))
@@ -289,11 +291,6 @@ class Localizers:
             self._change(state, "failed", _error_words(lines, code))
             # All of it, such as the traceback of a filter of the user.
             log.warning("localizer failed: %s", " | ".join(lines))
-
-    def _report_progress(self, state: LocalizerState, text: str) -> None:
-        """Show what a starting localizer waits for."""
-        if state.state == "starting" and not text.startswith("{"):
-            self._change(state, "starting", text.removeprefix("nomad: "))
 
     def _change(self, state: LocalizerState, name: str, words: str) -> None:
         state.state, state.words = name, words

@@ -89,16 +89,9 @@ from msgspec import Meta, Struct
 from nclient.common.validation import InvalidValue, convert, decode_json, describe_value, reported_as
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model, WireState
+from nclient.recording import recorder
 from nclient.recording.format import format_frame
-from nclient.recording.recorder import (
-    HANDSHAKE_FIRST,
-    SERIAL,
-    TCP,
-    ConnectionRecorder,
-    Decoded,
-    FrameDecoder,
-    TrafficRecorder,
-)
+from nclient.recording.recorder import TCP, ConnectionRecorder, Decoded, FrameDecoder, TrafficRecorder
 from worlds.rings import MAX_SONARS
 
 VERSION: Final = 5
@@ -574,5 +567,6 @@ class _ConnectionTraffic:
         wire_state = self._traffic.wire_state_of(self._name)
         if wire_state is None:
             return
-        self._decoder = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
+        line = recorder.SERIAL if self._line == recorder.HANDSHAKE_FIRST else self._line
+        self._decoder = FrameDecoder(line, self._model)
         self._decoder.resume(wire_state)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import importlib.util
 import logging
 import sys
 import webbrowser
@@ -19,7 +18,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from nclient.errors import ExtraMissing, NomadError, install_command
+from nclient.errors import NomadError, require_packages
 from nclient.transports.listener import ListenAddress, listen_address_of
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon
@@ -49,8 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        "the process of the localizer (docs/own-filter.md)")
     group.add_argument("--localize", action="store_true",
                        help="start a localizer of each robot, as Localize on the page does; implies --viewer")
-    group.add_argument("--open-browser", action="store_true",
-                       help="open the page in your browser; implies --viewer")
+    group.add_argument("--open-browser", action="store_true", help="open the page in your browser; implies --viewer")
     group.add_argument("--class", dest="class_file", type=Path, metavar="STUDENTS.csv",
                        help="a class: give each student of the file (name[,token][,robot] per line) a robot and a link "
                        "of the page that drives only that robot; links are written to STUDENTS.links.csv; implies "
@@ -68,17 +66,13 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--method is for the page: give --viewer too, or use nomad localize --method")
 
 
-class ViewerMissing(ExtraMissing):
-    """The page was requested and aiohttp is not installed; the message names the extra."""
-
-
 @asynccontextmanager
 async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """Serve the page as the options require; yield the lines to print.
 
     Raises
     ------
-    ViewerMissing, TokenFileError, ConnectionLost
+    ExtraMissing, TokenFileError, ConnectionLost
         With a remedy; the daemon is closed before.
     """
     if options.viewer is None:
@@ -86,19 +80,21 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
         return
     async with AsyncExitStack() as open_page:
         try:
-            require_aiohttp()
+            require_packages("--viewer", "viewer", "aiohttp")
             from nserver_emu.viewer.classroom import write_links
             from nserver_emu.viewer.http_port import address, load_tokens
-            from nserver_emu.viewer.server import serve_viewer
+            from nserver_emu.viewer.server import ViewerServer, serve_viewer
 
             token_file = options.viewer_token_file
             tokens = None if token_file is None else load_tokens(token_file)
             host, port = options.viewer
             students = require_robots(options, daemon)
-            lines = await open_page.enter_async_context(
-                serve_viewer(daemon, host, port, tokens, options.model_file, students, options.method,
-                             localizes=options.localize)
-            )
+            server = ViewerServer(daemon, tokens, students)
+            server.controller.localizers.model_file = options.model_file
+            server.controller.localizers.own_methods = tuple(options.method)
+            lines = await open_page.enter_async_context(serve_viewer(server, host, port))
+            if options.localize:
+                server.controller.localizers.start_all()
             if options.open_browser:
                 # In a thread: some browsers return only when they are closed. Without one, the address is printed.
                 asyncio.get_running_loop().run_in_executor(None, webbrowser.open, lines[0].split()[-1])
@@ -135,12 +131,6 @@ def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]
         log.warning("robots %s have less than %g in of room ahead: the world %s is small for a class, arena has thirty "
                     "starts", ", ".join(cramped), ROOM_AHEAD_IN, simulation.world.name)
     return students
-
-
-def require_aiohttp() -> None:
-    """Raise ViewerMissing if aiohttp is not installed."""
-    if importlib.util.find_spec("aiohttp") is None:
-        raise ViewerMissing(f"--viewer needs aiohttp: {install_command('viewer')}")
 
 
 def parse_own_method(text: str) -> str:

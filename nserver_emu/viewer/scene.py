@@ -174,7 +174,7 @@ class SceneHistory:
         if new.laser_modes != old.laser_modes:
             picture["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.speech is not old.speech:
-            picture["said"] = [list(utterance) for utterance in self._server_state.transcript.utterances]
+            picture["said"] = [list(utterance) for utterance in self._server_state.transcript]
         # 2. Parts that are sent as differences, without empty ones.
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _changed_beams(old.pings, new.pings)}
         return picture | {name: more for name, more in grown.items() if more}
@@ -197,7 +197,7 @@ class SceneHistory:
 
     def _revision(self) -> Revision:
         server_state = self._server_state
-        speech = server_state.transcript.utterances
+        speech = server_state.transcript
         traces = server_state.traces
         # Counts of all points ever added, which identify the state of a trace.
         counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
@@ -462,10 +462,6 @@ class Broadcaster:
         viewer.person = person
         self.viewers.add(viewer)
         return viewer
-
-    def leave(self, viewer: Viewer) -> None:
-        """Remove a viewer. May be called twice."""
-        self.viewers.discard(viewer)
 
     def notify(self, text: str, *, traffic: bool = False) -> None:
         """Queue a message for all viewers, or for those that watch the traffic."""

@@ -236,27 +236,16 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 
 @contextlib.asynccontextmanager
-async def serve_viewer(
-    daemon: Daemon, host: str, port: int, tokens: http_port.Tokens | None = None, model_file: Path | None = None,
-    students: Sequence[Student] = (), own_methods: Sequence[str] = (), *, localizes: bool = False,
-) -> AsyncIterator[list[str]]:
-    """Serve the page; yield the line to print. `model_file` has the robot models of the daemon, if not shipped.
-
-    `own_methods` are filters of the user that pages offer; `localizes`: start a localizer of each robot.
-    """
-    viewer_server = ViewerServer(daemon, tokens, students)
-    viewer_server.controller.localizers.model_file = model_file
-    viewer_server.controller.localizers.own_methods = tuple(own_methods)
-    port = await viewer_server.open(host, port)
-    if localizes:
-        viewer_server.controller.localizers.start_all()
+async def serve_viewer(server: ViewerServer, host: str, port: int) -> AsyncIterator[list[str]]:
+    """Serve the page; yield the line to print."""
+    port = await server.open(host, port)
     if not is_loopback(host):
         log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
                     "ssh -L %d:127.0.0.1:%d forwards a page on loopback to another machine", port, port)
     try:
-        yield [f"listening viewer {http_port.address(host, port)}/?token={viewer_server.token}"]
+        yield [f"listening viewer {http_port.address(host, port)}/?token={server.token}"]
     finally:
-        await viewer_server.close()
+        await server.close()
 
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"

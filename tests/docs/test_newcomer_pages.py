@@ -14,8 +14,9 @@ from PIL import Image
 
 from nclient.cli.main import GROUP
 from nserver_emu.cli import nserver_parser, read_options
-from nserver_emu.control.commands import ControlledServer, answer_line
+from nserver_emu.control.commands import answer_line
 from nserver_emu.server.config import read_setups
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.simulation import Simulation
 from tests.docs.pages import DOCS, ROOT, code_blocks, command_lines, run
@@ -76,7 +77,7 @@ def test_commands_of_the_worlds_page_run() -> None:
         _, _, name, *argument = shlex.split(line, comments=True)
         words = f"{name} {argument.pop()}" if name == "world" else name
         request = json.dumps({"command": words, "argument": "".join(argument) or None}).encode()
-        assert json.loads(answer_line(cast(ControlledServer, _Server(emulator)), request))["ok"]
+        assert json.loads(answer_line(cast(Daemon, _Server(emulator)), request))["ok"]
     assert (len(emulator.simulation.walkers), emulator.simulation.world.doors[0].is_open) == (2, False)
     assert "several_walls" in run(listing, ROOT)
     assert "no problems" in run(check, ROOT)

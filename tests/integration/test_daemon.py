@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.codec import InvalidFrame, TcpFrame
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, PAUSED, TcpConnection
+from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, ConnectionState, TcpConnection
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import Allowed, SimulationClock
@@ -168,14 +168,14 @@ async def test_slow_reader_delays_no_other_and_loses_nothing() -> None:
         slow.transport.pause_reading()
         count = 5_000
         slow.writer.write(GS * count)
-        while not any(connection.state is PAUSED for connection in server.daemon.connections):
+        while not any(connection.state is ConnectionState.PAUSED for connection in server.daemon.connections):
             assert (await other.ask("gs")).kind == "state"
         for _ in range(20):
             assert (await other.ask("gs")).kind == "state"
         slow.transport.resume_reading()
         for _ in range(count):
             assert (await slow.reply("gs")).kind == "state"
-        assert not any(connection.state is PAUSED for connection in server.daemon.connections)
+        assert not any(connection.state is ConnectionState.PAUSED for connection in server.daemon.connections)
 
 
 async def test_client_lost_during_wait_stops_its_robot() -> None:

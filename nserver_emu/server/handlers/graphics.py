@@ -12,29 +12,13 @@ arm_mv replies at once, arm_zr when both axes are at 0 regardless of its overrid
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from nclient.protocol.client_state import READ, RESTART, RING_PACKET, pack_ring
+from nclient.protocol.commands import BY_NAME
 from nclient.protocol.replies import Reply
-from nserver_emu.server.graphics import Figure, Layer, Utterance
+from nserver_emu.server.graphics import Figure, Utterance
 from nserver_emu.server.server_state import ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.axis import Arm, Command
-
-_SENSORS = (Layer.BUMPER, Layer.INFRARED, Layer.SONAR, Layer.LASER)
-# Layers redrawn by each refresh command.
-_REFRESHED_LAYERS = {
-    "refresh_all": tuple(Layer),
-    "refresh_all_traces": (Layer.ACTUAL_TRACE, Layer.ENCODER_TRACE),
-    "refresh_actual_trace": (Layer.ACTUAL_TRACE,),
-    "refresh_encoder_trace": (Layer.ENCODER_TRACE,),
-    "refresh_all_sensors": _SENSORS,
-    "refresh_bumper_sensor": (Layer.BUMPER,),
-    "refresh_infrared_sensor": (Layer.INFRARED,),
-    "refresh_sonar_sensor": (Layer.SONAR,),
-    "refresh_laser_sensor": (Layer.LASER,),
-    "refresh_client_graphics": (Layer.CLIENT,),
-}
 
 
 def draw_robot(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
@@ -52,18 +36,13 @@ def draw_arc(server: ServerState, _context: ConnectionContext, args: tuple[int, 
     return _draw(server, Figure.ARC, args)
 
 
-def make_refresher(layers: tuple[Layer, ...]) -> Callable[[ServerState, ConnectionContext, tuple[int, ...]], Reply]:
-    """Return the handler of a command that redraws these layers."""
-
-    def refresh(server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-        server.graphics.redraw(*layers)
-        return done()
-
-    return refresh
+def refresh(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+    """Acknowledge a request to redraw: the page shows what has changed without one."""
+    return done()
 
 
 # The ten refresh commands by name.
-REFRESHERS = {name: make_refresher(layers) for name, layers in _REFRESHED_LAYERS.items()}
+REFRESHERS = {name: refresh for name in BY_NAME if name.startswith("refresh_")}
 
 
 def _draw(server: ServerState, figure: Figure, args: tuple[int, ...]) -> Reply:
@@ -84,7 +63,7 @@ _FAILED, _SUCCEEDED = 0, 1
 
 def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -> Reply:
     """Speak a text, which is appended to the speech log; on the robot's own line the reply is the state."""
-    server.transcript.add(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
+    server.transcript.append(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
     return server.state_reply(context) if context.wire_state.line else done()
 
 
@@ -112,9 +91,8 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
     arm = server.arm_of(context)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_PER_INCH)
-    assert context.robot_id is not None
     if not _MOTIONS.isdisjoint(modes):
-        server.axis_ownership.claim_arm(context, context.robot_id)
+        server.axis_ownership.claim_arm(context, context.robot)
     return _packet(MOVE_PACKET, _SUCCEEDED)
 
 
@@ -123,8 +101,7 @@ def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     server.arm_of(context).zero()
-    assert context.robot_id is not None
-    server.axis_ownership.claim_arm(context, context.robot_id)
+    server.axis_ownership.claim_arm(context, context.robot)
     return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).is_still() else None
 
 

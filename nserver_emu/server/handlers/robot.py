@@ -11,22 +11,8 @@ import math
 
 from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import LINES, Position, clamp_word, rad_from_tenths, wrap_word
-from nserver_emu.server.server_state import (
-    BUMPER,
-    COMPASS,
-    INFRARED,
-    SONAR,
-    ServerState,
-    StateSensor,
-    axis_tenths,
-    axis_values,
-    is_on,
-    laser_vector,
-    pose_tenths,
-    robot_clock_ms,
-    stamp_now,
-    velocity_tenths,
-)
+from nserver_emu.server import server_state
+from nserver_emu.server.server_state import ServerState, axis_values, is_on, laser_vector, robot_clock_ms, stamp_now
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.sensors import INFRAREDS, CompassMode
 
@@ -95,8 +81,7 @@ def ac(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
 def st(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:
     """Stop all axes and the arm."""
     server.claim_axes(context).stop()
-    assert context.robot_id is not None
-    server.stop_arm(context.robot_id)
+    server.stop_arm(context.robot)
 
 
 def lp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> None:
@@ -172,18 +157,20 @@ def ct(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]
 
 def get_rc(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return position and angles."""
-    return Reply("configuration", dict(enumerate(pose_tenths(server.robot_of(context)), start=_POSE_SLOT)))
+    return Reply("configuration", dict(enumerate(server_state.pose_tenths(server.robot_of(context)), start=_POSE_SLOT)))
 
 
 def get_rv(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the three velocities."""
-    return Reply("velocity", dict(enumerate(velocity_tenths(server.robot_of(context)), start=_VELOCITY_SLOT)))
+    velocities = server_state.velocity_tenths(server.robot_of(context))
+    return Reply("velocity", dict(enumerate(velocities, start=_VELOCITY_SLOT)))
 
 
 def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the three accelerations in the slots of the velocities; 0 where speeds change at once."""
     robot = server.robot_of(context)
-    return Reply("velocity", dict(enumerate(axis_tenths(robot, robot.accelerations), start=_VELOCITY_SLOT)))
+    accelerations = server_state.axis_tenths(robot, robot.accelerations)
+    return Reply("velocity", dict(enumerate(accelerations, start=_VELOCITY_SLOT)))
 
 
 def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
@@ -196,22 +183,17 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
     """Return the actual pose of the robot in thousandths; for evaluation only, the filter does not use it."""
     pose = server.robot_of(context).actual
     values = (
-        1,
-        wrap_word(server.clock_ms),
-        clamp_word(round(pose.x_in * 1000)),
-        clamp_word(round(pose.y_in * 1000)),
-        round(math.degrees(pose.steering_rad) * 1000),
-        round(math.degrees(pose.turret_rad) * 1000),
-        server.simulation.seed & _INT32_MAX,
-        context.robot_id or 0,
-    )
+        1, wrap_word(server.clock_ms), clamp_word(round(pose.x_in * 1000)), clamp_word(round(pose.y_in * 1000)),
+        round(math.degrees(pose.steering_rad) * 1000), round(math.degrees(pose.turret_rad) * 1000),
+        server.simulation.seed & _INT32_MAX, context.robot_id or 0,
+    )  # fmt: skip
     return Reply("truth", values=values)
 
 
 # Bumpers and sonars.
 
 
-def _reading(server: ServerState, context: ConnectionContext, sensor: StateSensor) -> Reply:
+def _reading(server: ServerState, context: ConnectionContext, sensor: server_state.StateSensor) -> Reply:
     """Return all readings of a sensor regardless of the mask, which selects the stamps only."""
     robot, now_s = server.robot_of(context), server.simulation.time_s
     values = sensor.values(robot)
@@ -224,7 +206,7 @@ def _reading(server: ServerState, context: ConnectionContext, sensor: StateSenso
 
 def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the bumpers."""
-    return _reading(server, context, BUMPER)
+    return _reading(server, context, server_state.BUMPER)
 
 
 def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
@@ -235,7 +217,7 @@ def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ..
 
 def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return all 16 sonars regardless of the mask."""
-    return _reading(server, context, SONAR)
+    return _reading(server, context, server_state.SONAR)
 
 
 def conf_ser(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> None:
@@ -259,7 +241,7 @@ def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ..
 
 def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return all 16 infrareds regardless of the mask."""
-    return _reading(server, context, INFRARED)
+    return _reading(server, context, server_state.INFRARED)
 
 
 # Compass.
@@ -284,7 +266,7 @@ def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ..
 
 def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the turret's direction of the last compass reading."""
-    return _reading(server, context, COMPASS)
+    return _reading(server, context, server_state.COMPASS)
 
 
 # Laser.

@@ -93,7 +93,8 @@ def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str,
             now = Polygon(read_points(wanted["put"]), read_name(wanted.get("name", "")))
             number = _index(wanted.get("at"), len(obstacles))
         else:
-            number = _number_of(obstacles, read_points(wanted["corners"]))
+            outlines = [obstacle.corners_in for obstacle in obstacles]
+            number = _find(outlines, read_points(wanted["corners"]), "obstacle: there is none with these corners")
             was = obstacles[number]
             corners = moved(was.corners_in, wanted)
             now = None if corners is None else Polygon(corners, was.name)
@@ -173,9 +174,7 @@ def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:
     """Return True if points are on the line through two ends."""
     (x1, y1), (x2, y2) = ends
     length = math.dist(*ends)
-    return all(
-        abs((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) <= CORNER_TOLERANCE_IN * length for x, y in points
-    )  # fmt: skip
+    return all(abs((x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)) <= CORNER_TOLERANCE_IN * length for x, y in points)
 
 
 def is_on_map(points: Sequence[Point]) -> bool:
@@ -244,14 +243,14 @@ def _index(value: Any, last: int) -> int:
     return min(value, last)
 
 
-def _number_of(obstacles: Sequence[Polygon], corners: Sequence[Point]) -> int:
-    """Return the index of the last obstacle with these corners."""
-    for number in reversed(range(len(obstacles))):
-        there = obstacles[number].corners_in
-        pairs = zip(there, corners, strict=False)
-        if len(there) == len(corners) and all(math.dist(*pair) < CORNER_TOLERANCE_IN for pair in pairs):
+def _find(outlines: Sequence[Sequence[Point]], points: Sequence[Point], complaint: str) -> int:
+    """Return the place of the latest of equal outlines."""
+    for number in reversed(range(len(outlines))):
+        there = outlines[number]
+        pairs = zip(there, points, strict=False)
+        if len(there) == len(points) and all(math.dist(*pair) < CORNER_TOLERANCE_IN for pair in pairs):
             return number
-    raise ControlError("obstacle: there is none with these corners, or it was changed meanwhile")
+    raise ControlError(f"{complaint}, or it was changed meanwhile")
 
 
 def _corners(obstacle: Polygon | None) -> list[list[float]] | None:
@@ -303,9 +302,7 @@ def read_world_file(text: str, file: str) -> World:
     return parse_world(text, file, PurePath(file).stem)
 
 
-def put_world(
-    server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False
-) -> World:  # fmt: skip
+def put_world(server: ServerState, text: str, file: str, world: World | None = None, *, places: bool = False) -> World:
     """Replace the world; robots keep their poses, where there must be no wall or obstacle.
 
     `world` is that of the text, if it was read before. `places` puts robots without room at the starts of the world.
@@ -452,7 +449,8 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
             is_closed, name = _is_true(wanted.get("closed"), False), read_name(wanted.get("name", ""))
             now = Walker(read_points(wanted["put"]), is_closed=is_closed, name=name, **numbers)
         else:
-            row = _walker_of(walkers, read_points(wanted["walker"]))
+            routes = [walker.points_in for walker in walkers]
+            row = _find(routes, read_points(wanted["walker"]), "walker: there is none with this route")
             was = walkers[row]
             if (points := moved(was.points_in, wanted)) is not None:
                 now = replace(was, points_in=points)
@@ -511,17 +509,6 @@ def _door_of(doors: Sequence[Door], name: object) -> int:
     return names.index(name)
 
 
-def _walker_of(walkers: Sequence[Walker], points: Sequence[Point]) -> int:
-    """Return the index of the last walker with this route."""
-    for number in reversed(range(len(walkers))):
-        there = walkers[number].points_in
-        if len(there) == len(points) and all(
-            math.dist(*pair) < CORNER_TOLERANCE_IN for pair in zip(there, points, strict=True)
-        ):
-            return number
-    raise ControlError("walker: there is none with this route, or it was changed meanwhile")
-
-
 def _door_fields(door: Door | None) -> dict[str, Any] | None:
     return None if door is None else {"put": [*map(list, door.ends_in)], "name": door.name, "open": door.is_open}
 
@@ -531,3 +518,7 @@ def _walker_fields(walker: Walker | None) -> dict[str, Any] | None:
         "put": [*map(list, walker.points_in)], "name": walker.name, "speed": walker.speed_in_s,
         "radius": walker.radius_in, "closed": walker.is_closed,
     }  # fmt: skip
+
+
+CHANGES: Final = {"obstacle": change_obstacle, "wall": change_wall, "door": change_door, "walker": change_walker}
+"""Changes of the world by the kind that commands and recordings name."""

@@ -20,16 +20,9 @@ from nclient.errors import StartError
 from nclient.protocol.layouts import MOTION_LINE
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
+from nserver_emu.server import session
 from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
-from nserver_emu.server.session import (
-    BAD_VALUES,
-    REFUSED,
-    ClickedPose,
-    ConnectionContext,
-    DeferredReply,
-    done,
-    error_reply,
-)
+from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL, Purpose, RngFactory
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -206,8 +199,7 @@ def place_robot(server: ServerState, context: ConnectionContext, args: tuple[int
         server.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, context.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    assert context.robot_id is not None
-    server.simulation.place(context.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
+    server.simulation.place(context.robot, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 
@@ -225,14 +217,13 @@ def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple
     """
     robot = server.robot_of(context)
 
-    def here() -> ClickedPose:
+    def here() -> session.ClickedPose:
         at = robot.actual
         return tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad), heading_tenths(at.turret_rad)
 
     if not server.pose_requests.open or server.clock.lockstep_s is not None:
         return Reply("configuration", values=here())
-    assert context.robot_id is not None
-    poll_pose = server.pose_requests.add(context.robot_id, context, here)
+    poll_pose = server.pose_requests.add(context.robot, context, here)
 
     def poll() -> Reply | None:
         pose = poll_pose()
@@ -271,9 +262,7 @@ def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple
     return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)
 
 
-def prepare_prediction(
-    server: ServerState, context: ConnectionContext, args: tuple[int, ...]
-) -> Iterator[None]:
+def prepare_prediction(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Iterator[None]:
     """Read the sensors of a prediction, one in each step; what changes before the reply makes it begin anew."""
     context.prediction = prediction = _predict(server, context, args)
     return prediction.steps

@@ -31,12 +31,12 @@ def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
         case(Kind.TRACKING, 1): LostResult(300.0, 3, 0.4, 2.0),
         case(Kind.TRACKING, 2): LostResult(900.0, 0, 0.0, None),
     })
-    assert (found["runs"], found["false_alarms"], found["alarmed"], found["hours"]) == (3, 3, 1, 0.5)
+    assert (found.runs, found.false_alarms, found.alarmed, found.hours) == (3, 3, 1, 0.5)
     # DEGRADED for a tenth of 600 s and four tenths of 300 s.
-    assert found["degraded"] == pytest.approx((60.0 + 120.0) / 1800.0)
+    assert found.degraded == pytest.approx((60.0 + 120.0) / 1800.0)
     # Squared errors 1 and 2 by time; the third run has none.
-    assert found["rmse_in"] == pytest.approx(2.0**0.5)
-    assert found["told"] is found["found"] is None
+    assert found.rmse_in == pytest.approx(2.0**0.5)
+    assert found.told is found.found is None
     assert "3 false alarms in 1 runs; DEGRADED 10.00% of the time; position RMSE 1.41 in" in words(found)
 
 
@@ -49,10 +49,10 @@ def test_kidnapping_summary_counts_alarms_and_recoveries() -> None:
         case(Kind.KIDNAPPED, 3): LostResult(40.0, 0, 0.0, 0.3, None, None, False),
     })
     # Two of the detections took at most 5 s.
-    assert (found["told"], found["soon"], found["found"], found["mistaken"]) == (3, 2, 2, 1)
-    assert found["told_s"] == (3.0, 7.0)
+    assert (found.told, found.soon, found.found, found.mistaken) == (3, 2, 2, 1)
+    assert found.told_s == (3.0, 7.0)
     # Correct recoveries took 1 and 9 s: the upper median, and the longest.
-    assert found["found_s"] == (9.0, 9.0)
+    assert found.found_s == (9.0, 9.0)
     text = words(found)
     assert "detected (LOST): 3, 2 of them within 5 s (median 3.0 s, at most 7.0 s)" in text
     assert "correct recoveries: 2 (median 9.0 s, at most 9.0 s); wrong recoveries: 1" in text
@@ -65,20 +65,20 @@ def test_ok_before_any_unambiguous_place_is_counted() -> None:
         for seed, (ok_s, unambiguous_s) in enumerate(times)
     })
     # The third and the fourth.
-    assert found["early"] == 2
+    assert found.early == 2
     assert "OK before an unambiguous place: 2 of 6" in words(found)
 
 
 def test_summary_without_recoveries_has_no_times() -> None:
     (found,) = summaries({case(Kind.UNKNOWN_START, 0): LostResult(90.0, 0, 0.0, None)})
-    assert found["found"] == 0
+    assert found.found == 0
     assert words(found).splitlines()[1] == "  correct recoveries: 0; wrong recoveries: 0"
 
 
 def test_summaries_per_kind_in_order_of_cases() -> None:
     outcome = LostResult(60.0, 0, 0.0, 0.2)
     found = summaries({case(kind, 0): outcome for kind in (Kind.UNKNOWN_START, Kind.TRACKING)})
-    assert [summary["kind"] for summary in found] == ["nowhere", "calm"]
+    assert [summary.kind for summary in found] == ["nowhere", "calm"]
 
 
 @pytest.mark.parametrize("probabilities", [(0.25,) * 4, (0.7, 0.2), (1.0,), (0.1,) * 8])

@@ -105,7 +105,7 @@ def test_missing_matplotlib_is_reported_before_any_run(
 def test_uncreatable_folder_is_reported_before_any_run(
     words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("__main__", "live", "lost", "plan"):
+    for module in ("__main__", "execution", "plan"):
         monkeypatch.setattr(f"localization.experiments.{module}.progress", lambda *_: pytest.fail("it runs"))
     (tmp_path / "file").write_text("a file", encoding="utf-8")
     assert __main__.main([*words, "--out", str(tmp_path / "file")]) == 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from localization.filters import compiled
-from localization.filters.base import EncoderRow, LocalizationConfig, NewEcho, measurement_model, process_each
+from localization.filters.base import EncoderRow, Filter, LocalizationConfig, NewEcho, measurement_model
 from localization.filters.belief import Belief, unpack, with_constants
 from localization.filters.ekf import KalmanFilter
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
@@ -96,7 +96,7 @@ def test_compiled_filter_equals_the_plain_one(monkeypatch: pytest.MonkeyPatch) -
     assert fast.health == plain.health
     # The prediction that is reported, widened by all that widens it; the belief stays as it is.
     for filter_ in (fast, plain):
-        filter_._monitor.slip.add(-2.0, 9.0, 1.0)
+        filter_._monitor.add_innovation(-2.0, 9.0, 1.0)
     encoders, poses, _ = drive
     one, other = (filter_.advance(encoders, poses, [], 0.01)[2] for filter_ in (fast, plain))
     np.testing.assert_array_equal(one.mean, other.mean)
@@ -166,7 +166,7 @@ def test_passing_over_limits_changes_no_belief() -> None:
     echoes: list[NewEcho] = [*limits, (0.3, 4, 37.0), (0.36, 5, 255.0)]
     assert len(one.process(poses[0], poses, [])) == 0, "a row of a log without new echoes"
     outcomes = one.process(poses[0], poses, echoes)
-    each = process_each(other, poses[0], poses, echoes)
+    each = Filter.process(other, poses[0], poses, echoes)
     assert [code for code, *_ in outcomes] == [result[0] for result in each]
     # In fewer steps, of which each is linearised.
     np.testing.assert_allclose(one.belief.mean, other.belief.mean, atol=1e-4)

@@ -78,11 +78,11 @@ def test_in_a_square_room_four_places_look_alike() -> None:
         several = finder(SQUARE, None)
         # Three seconds of turning are not enough to exclude any of the four corners.
         estimate = turn(robot, localizer_of(robot, several), 4.0)
-        assert len(several.hypotheses) == 4
+        assert len(several.places) == 4
         assert estimate.health.status is HealthStatus.LOST
         assert "4 places look alike" in estimate.health.reason
         # One of the hypotheses is the true place.
-        places = [hypothesis.belief.mean for hypothesis in several.hypotheses]
+        places = [place.belief.mean for place in several.places]
         truth = robot.truth()
         assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
 

@@ -24,8 +24,10 @@ from localization.filters.health import (
     HealthLimits,
     HealthStatus,
     IntegrityMonitor,
-    SlipTest,
     displacement_evidence,
+    max_slip_evidence,
+    most_likely_slip,
+    slip_probability,
 )
 from localization.filters.update import Refusal, UpdateResult
 
@@ -150,20 +152,20 @@ def test_evidence_is_the_ratio_of_normal_densities(innovation: float, shift: flo
 @pytest.mark.long
 def test_slip_test_is_the_cusum_of_each_displacement() -> None:
     """Sums written out, of all displacements and both sides, for readings of a robot that is 2 in behind from half."""
-    rng, std, test = np.random.default_rng(2), 0.8, SlipTest()
+    rng, std, test = np.random.default_rng(2), 0.8, IntegrityMonitor()
     sums = np.zeros((2, len(DISPLACEMENTS_IN)))
     for number, slope in enumerate(rng.choice([-1.0, -0.7, 0.6, 1.0], 40).tolist()):
         innovation = std * float(rng.standard_normal()) + (-2.0 * slope if number >= 20 else 0.0)
-        test.add(innovation, (innovation / std) ** 2, slope)
+        test.add_innovation(innovation, (innovation / std) ** 2, slope)
         for j, displacement in enumerate(DISPLACEMENTS_IN):
             gain = min(densities_ratio(innovation, std, slope * displacement), MAX_GAIN_NATS) - ALLOWANCE_NATS
             one = sums[int(slope > 0.0), j] + gain
             sums[int(slope > 0.0), j] = min(max(0.0, one), MAX_SIDE_NATS)
         best = int(sums.sum(axis=0).argmax())
-        _, evidence = test.most_likely
+        _, evidence = most_likely_slip(test.slip_sums)
         assert evidence == pytest.approx(np.minimum(sums, MAX_NATS_OF_ONE_SIDE)[:, best].sum())
-        assert evidence <= test.max_evidence_nats
-    assert test.most_likely[0] == -2.0
+        assert evidence <= max_slip_evidence(test.slip_sums)
+    assert most_likely_slip(test.slip_sums)[0] == -2.0
     assert evidence > SLIPPING.slip_nats
 
 
@@ -175,7 +177,7 @@ def test_slip_is_found_within_a_ring(displacement: float) -> None:
         slope = slopes[readings]
         innovation = displacement * slope
         monitor.add(outcome(nis=(innovation / 0.6) ** 2))
-        monitor.slip.add(innovation, (innovation / 0.6) ** 2, slope)
+        monitor.add_innovation(innovation, (innovation / 0.6) ** 2, slope)
         found = monitor.take_slip()
         readings += 1
     assert readings <= 12
@@ -193,7 +195,7 @@ def test_something_unmapped_on_one_side_is_no_slip() -> None:
     monitor = IntegrityMonitor(SLIPPING)
     for _ in range(100):
         monitor.add(outcome())
-        monitor.slip.add(-3.0, 25.0, -1.0)
+        monitor.add_innovation(-3.0, 25.0, -1.0)
         assert monitor.take_slip() == 0.0
     # It may be one, though.
     assert "slipped" in monitor.health(np.eye(3)).reason
@@ -207,8 +209,8 @@ def test_consistent_or_bad_readings_seldom_mean_a_slip(bad: float) -> None:
     slips, suspected, std = 0, 0, 0.6
     for angle in rng.uniform(0.0, 2.0 * np.pi, 10_000).tolist():
         innovation = std * float(rng.standard_normal()) if rng.random() >= bad else float(rng.uniform(-30.0, 200.0))
-        monitor.slip.add(innovation, (innovation / std) ** 2, float(np.cos(angle)))
-        suspected += monitor.slip.slipped[0] > MAX_SLIP_PROBABILITY
+        monitor.add_innovation(innovation, (innovation / std) ** 2, float(np.cos(angle)))
+        suspected += slip_probability(monitor.slip_sums)[0] > MAX_SLIP_PROBABILITY
         slips += monitor.take_slip() != 0.0
     assert slips <= 10
     assert suspected <= 50
@@ -216,10 +218,10 @@ def test_consistent_or_bad_readings_seldom_mean_a_slip(bad: float) -> None:
 
 def test_probability_of_a_slip_is_by_bayes_rule() -> None:
     """Three readings after a slip by 3 in, densities by scipy, among slips by each displacement and none."""
-    test, std, slopes = SlipTest(), 1.0, [-0.9, -0.4, -0.6]
+    test, std, slopes = IntegrityMonitor(), 1.0, [-0.9, -0.4, -0.6]
     innovations = [-3.0 * slope for slope in slopes]
     for innovation, slope in zip(innovations, slopes, strict=True):
-        test.add(innovation, (innovation / std) ** 2, slope)
+        test.add_innovation(innovation, (innovation / std) ** 2, slope)
     weights = []
     for displacement in DISPLACEMENTS_IN:
         nats = 0.0
@@ -229,7 +231,7 @@ def test_probability_of_a_slip_is_by_bayes_rule() -> None:
         before = SLIP_RATE_SHAPE / (SLIP_RATE_SHAPE * ROUNDS_PER_SLIP + 3 / 16)
         weights.append((exp(nats) - 1.0) / len(DISPLACEMENTS_IN) * before)
     posterior = np.array(weights) / (1.0 + sum(weights))
-    probability, squared_in2 = test.slipped
+    probability, squared_in2 = slip_probability(test.slip_sums)
     assert probability == pytest.approx(posterior.sum())
     assert squared_in2 == pytest.approx(posterior @ np.square(DISPLACEMENTS_IN))
     # Too little for DEGRADED, enough to widen what is reported.
@@ -240,20 +242,20 @@ def test_wheels_that_slipped_are_expected_to_slip_again() -> None:
     """The mean of the rate given its slips, by integration of prior times the Poisson probability of the count."""
     from scipy.stats import gamma, poisson
 
-    test, rounds, slips = SlipTest(), 120.0, 4
-    test.sums[COUNTS][SLIPS] = float(slips)
+    test, rounds, slips = IntegrityMonitor(), 120.0, 4
+    test.slip_sums[COUNTS][SLIPS] = float(slips)
     for _ in range(int(16 * rounds) - 1):
-        test.add(0.0, 0.0, 1.0)
-    test.add(1.9, 3.61, 1.0)
+        test.add_innovation(0.0, 0.0, 1.0)
+    test.add_innovation(1.9, 3.61, 1.0)
     # Mean 1 / ROUNDS_PER_SLIP, whatever the shape; its density is infinite at 0.
     rates = np.linspace(0.0, 1.0, 200_001)[1:]
     prior = gamma(SLIP_RATE_SHAPE, scale=1.0 / (SLIP_RATE_SHAPE * ROUNDS_PER_SLIP))
     assert prior.mean() == pytest.approx(1.0 / ROUNDS_PER_SLIP)
     weights = prior.pdf(rates) * poisson.pmf(slips, rates * rounds)
-    alone = SlipTest()
-    alone.add(1.9, 3.61, 1.0)
+    alone = IntegrityMonitor()
+    alone.add_innovation(1.9, 3.61, 1.0)
     # The same reading, at the rate learned and at the first.
-    odds, first = (p / (1.0 - p) for p in (test.slipped[0], alone.slipped[0]))
+    odds, first = (p / (1.0 - p) for p in (slip_probability(test.slip_sums)[0], slip_probability(alone.slip_sums)[0]))
     before = (weights @ rates) / weights.sum()
     assert odds / first == pytest.approx(before * (ROUNDS_PER_SLIP + 1 / 16 / SLIP_RATE_SHAPE), rel=1e-4)
     # Four slips in two minutes, one in 30 rounds: the rate is that within a factor of two.

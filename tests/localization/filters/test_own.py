@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.filters.base import LocalizationConfig, RingFilter
+from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.health import HealthStatus
 from localization.filters.own import OwnFilterAdapter, OwnFilterError, TimedEcho, load_factory
@@ -48,7 +48,6 @@ def adapted() -> tuple[Recorder, OwnFilterAdapter]:
 
 def test_echoes_come_with_time_and_direction_after_the_prediction() -> None:
     own, to = adapted()
-    assert isinstance(to, RingFilter)
     poses = [(1.0, 0.0, 0.0, 0.0, 0.25), (2.0, 4.0, 0.0, 0.0, 0.25)]
     outcomes = to.process(poses[0], poses, [(1.5, 3, 40.0), (2.0, 0, 50.0), (2.0, 1, 255.0)])
     assert own.steps == [(2.0, 0.0), (2.0, 0.0), (0.0, 0.0)]

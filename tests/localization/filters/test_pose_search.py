@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from localization.experiments.live_trial import QUIET
-from localization.filters.base import LocalizationConfig
+from localization.filters.base import LocalizationConfig, Place
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.global_localization import ALIKE_WEIGHT, GlobalLocalizer
 from localization.filters.health import HealthStatus
@@ -16,7 +16,6 @@ from localization.filters.pose_search import (
     EVIDENCE_SHARE,
     EchoRecord,
     EchoReplay,
-    Hypothesis,
     Prior,
     SearchRequest,
     _information,
@@ -122,7 +121,7 @@ def test_hypotheses_are_weighed_by_a_share_of_the_evidence() -> None:
     records, replay = ring_at(ROOM, (40.0, 30.0, 0.2), rounds=1), replay_of(ROOM)
     beliefs = [independent(pose, (0.5, 0.5, 0.02)) for pose in [(40.0, 30.0, 0.2), (44.0, 30.0, 0.2)]]
     nats = [replay.run(belief, np.zeros(3), records)[1] for belief in beliefs]
-    found = advanced([Hypothesis(belief, 0.5) for belief in beliefs], np.zeros(3), records, replay)
+    found = advanced([Place(belief, 0.5) for belief in beliefs], np.zeros(3), records, replay)
     if len(found) == 2:
         odds = found[0].probability / found[1].probability
         assert math.log(odds) == pytest.approx(EVIDENCE_SHARE * abs(nats[0] - nats[1]), rel=1e-6)
@@ -161,7 +160,7 @@ def test_known_hypotheses_keep_their_weights_in_a_new_search() -> None:
     records, table, replay = ring_at(ROOM, (40.0, 30.0, 0.2)), table_of(ROOM), replay_of(ROOM)
     four = search(records, table, replay)
     weights = (0.7, 0.2, 0.1)
-    others = [Hypothesis(each.belief, weight) for each, weight in zip(four, weights, strict=False)]
+    others = [Place(each.belief, weight) for each, weight in zip(four, weights, strict=False)]
     again = search(records, table, replay, others=others)
     # The fourth comes back, with no more weight than the best.
     assert len(again) == 4
@@ -188,7 +187,7 @@ def test_the_robot_turns_to_where_hypotheses_differ() -> None:
     wide[:, 1::2] = np.where(wide[:, 1::2] > 0.0, 600.0, 0.0)
     table = table_of(np.concatenate((long, wide)))
     poses = [(60.0, 40.0, 0.0), (1060.0, 40.0, 0.0)]
-    two = [Hypothesis(independent(pose, (0.5, 0.5, 0.02)), 0.5) for pose in poses]
+    two = [Place(independent(pose, (0.5, 0.5, 0.02)), 0.5) for pose in poses]
     turn = informative_turn(two, table)
     assert turn is not None
     # To the left, where the ends are; the heading along the width and those to the right bring none nearer.
@@ -204,7 +203,7 @@ def test_a_niche_is_worth_more_than_a_long_free_way() -> None:
     table = table_of(np.concatenate((polygon_segments(corridor), beside)))
     poses, weights = [(490.0, 30.0, math.pi), (1490.0, 30.0, math.pi)], (0.85, 0.15)
     both = [
-        Hypothesis(independent(pose, (0.5, 0.5, 0.02)), weight) for pose, weight in zip(poses, weights, strict=True)
+        Place(independent(pose, (0.5, 0.5, 0.02)), weight) for pose, weight in zip(poses, weights, strict=True)
     ]
     turn = informative_turn(both, table)
     assert turn is not None
@@ -249,7 +248,7 @@ def test_a_wide_start_is_a_prior_of_the_search_and_never_sure_of_one_of_several(
     np.testing.assert_allclose(wide.belief.mean[:2], (60.0, 45.0))
     feed(wide, ROOM, (40.0, 30.0, 0.2), 8)
     assert wide.health.status is HealthStatus.LOST
-    assert len(wide.hypotheses) >= 2
+    assert len(wide.places) >= 2
 
 
 def test_poses_that_look_like_the_start_stay_beside_the_estimate_until_excluded() -> None:

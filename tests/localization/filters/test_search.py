@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from localization.experiments.live_trial import EXACT_RAYS, QUIET
+from localization.filters.base import Place
 from localization.filters.belief import Floats, difference, independent
 from localization.filters.global_localization import MIN_LEAD_NATS
-from localization.filters.pose_search import EchoRecord, EchoReplay, Hypothesis, alternatives, merged, search
+from localization.filters.pose_search import EchoRecord, EchoReplay, alternatives, merged, search
 from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
@@ -32,10 +33,10 @@ def table_of(world: str, setup: str) -> RangeTable:
     return build_range_table(load_world(world).walls, N150, KINDS[setup], N150.radius_in)
 
 
-Place = tuple[float, float, float]
+Pose = tuple[float, float, float]
 
 
-def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
+def records_at(world: str, setup: str, pose: Pose, distance_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
     """A ring of echoes, taken while driving `distance_in` ahead; and the true pose at the last."""
     x, y, heading_deg = pose
     # 60 ms is the interval between two sonars: each refresh has one new echo.
@@ -55,7 +56,7 @@ def records_at(world: str, setup: str, pose: Place, distance_in: float = 0.0) ->
     return records, np.array([truth.x_in, truth.y_in, truth.steering_rad])
 
 
-def found_at(world: str, setup: str, records: list[EchoRecord]) -> list[Hypothesis]:
+def found_at(world: str, setup: str, records: list[EchoRecord]) -> list[Place]:
     return search(records, table_of(world, setup), replay_of(world, setup))
 
 

@@ -259,7 +259,7 @@ def test_other_sonars_have_no_surface() -> None:
     config = LocalizationConfig(CORRIDOR, N150, EXACT, ConeSonar())
     localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.5, 0.5, 0.01]))
     assert isinstance(localizer, KalmanFilter)
-    assert localizer._odometric is None
+    assert not localizer._measurement.level_stds
 
 
 def test_the_end_of_a_wall_on_the_map_need_not_be_detected() -> None:

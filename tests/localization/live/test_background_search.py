@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 from collections.abc import Sequence
+from contextlib import closing
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -72,7 +73,7 @@ def turn_from_unknown_start(filter_: GlobalLocalizer, seconds: float = 6.0) -> t
 def test_answers_are_those_of_a_search_in_this_process(tmp_path: Path) -> None:
     alone, _ = turn_from_unknown_start(finder(CONFIG, None))
     reports: list[str] = []
-    with BackgroundSearch(CONFIG, waits=True, report=reports.append, folder=tmp_path) as poses:
+    with closing(BackgroundSearch(CONFIG, waits=True, report=reports.append, folder=tmp_path)) as poses:
         beside, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=poses))
         assert poses.progress == ""
     assert off_in < 2.0
@@ -236,7 +237,7 @@ def test_what_a_search_adds_to_a_table_is_stored(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_readings_have_a_density_before_any_search() -> None:
-    with BackgroundSearch(CONFIG, waits=False) as poses:
+    with closing(BackgroundSearch(CONFIG, waits=False)) as poses:
         sampled = np.array([poses.density(reading) for reading in range(256)])
     exact = np.array([table_search(CONFIG).density(reading) for reading in range(256)])
     assert sampled.min() > 0.0
@@ -269,7 +270,7 @@ def can_import(name: str) -> bool:
 @pytest.mark.long
 def test_worker_has_no_scipy_which_numba_would_load(tmp_path: Path) -> None:
     pytest.importorskip("scipy.linalg")
-    with BackgroundSearch(CONFIG, waits=True, folder=tmp_path) as poses:
+    with closing(BackgroundSearch(CONFIG, waits=True, folder=tmp_path)) as poses:
         poses.prepare()
         assert poses._pool is not None
         assert poses._pool.submit(can_import, "numpy.linalg").result()

@@ -20,11 +20,9 @@ from localization.mapping.explore import (
     _dense,
     _Finished,
     _first_in_sight,
-    _measured_walls,
-    passed,
     pushed,
 )
-from localization.mapping.live import LiveMapper
+from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.measurements import read_drive
 from localization.mapping.walls import Piece
 from localization.navigation.path import wall_distances
@@ -102,8 +100,8 @@ def test_line_that_goes_on_beyond_a_door_leaves_it_open(estimate: MapEstimate) -
     parted.runs = np.concatenate((others, [(0, low, middle - 15.0), (0, middle + 15.0, high)]))
     angle, offset = parted.state.walls[0]
     door = offset * np.array((np.cos(angle), np.sin(angle))) + middle * np.array((-np.sin(angle), np.cos(angle)))
-    assert wall_distances(door[None], _measured_walls(_Finished(estimate)))[0] < 0.01
-    assert wall_distances(door[None], _measured_walls(_Finished(parted)))[0] == pytest.approx(15.0)
+    assert wall_distances(door[None], walls_and_posts(estimate))[0] < 0.01
+    assert wall_distances(door[None], walls_and_posts(parted))[0] == pytest.approx(15.0)
 
 
 def test_robot_comes_back_through_a_door_that_the_map_has_too_narrow() -> None:

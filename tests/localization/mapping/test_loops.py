@@ -51,6 +51,7 @@ def bent(estimate: MapEstimate) -> MapEstimate:
     found.state = replace(state, poses=poses, walls=np.concatenate((state.walls, lines)))
     found.assignment = replace(found.assignment, feature=np.where(is_behind, feature + walls, feature))
     found.extents = np.concatenate((estimate.extents, estimate.extents))
+    found.sides = np.tile(estimate.sides, 2)
     found.measure_extents()
     return found
 
@@ -107,7 +108,7 @@ def with_unrecognized_lap(estimate: MapEstimate) -> MapEstimate:
         state, poses=poses, walls=np.concatenate((state.walls, np.stack((angles, offsets), axis=-1))),
         points=np.concatenate((state.points, points)),
     )  # fmt: skip
-    found.extents = np.concatenate((estimate.extents, extents))
+    found.extents, found.sides = np.concatenate((estimate.extents, extents)), np.tile(estimate.sides, 2)
     found.runs = np.array([(number, *extent) for number, extent in enumerate(found.extents)])
     numbers = np.where(feature < 0, feature, numbers + np.where(is_second, moved, 0))
     found.assignment = replace(estimate.assignment, feature=numbers, ties=np.empty((0, 2), dtype=np.intp))

@@ -406,6 +406,7 @@ class SoundMap:
 
     def __init__(self, ahead_in: float) -> None:
         self.walls = np.array([[-60.0, 14.0, ahead_in, 14.0]])
+        self.poses = np.zeros((1, 3))
 
 
 @pytest.mark.parametrize(("axis_rad", "reading_in", "ahead_in", "fits"), [
@@ -444,6 +445,18 @@ def test_end_of_a_wall_of_the_map_stops_the_robot(aside_in: float) -> None:
     assert motion._free_of_map_in(near, pi, cast("LiveMapper", mapper)) == np.inf
     mapper.is_sound = False
     assert motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper)) == np.inf
+
+
+def test_wall_where_the_robot_has_passed_does_not_stop_it() -> None:
+    motion = _Motion(WaypointDriver([]), SpeedGuard(N150), MODEL_LIMITS["n150"], None)
+    mapper = SoundMap(0.0)
+    mapper.walls = np.array([[14.2, -60.0, 14.2, 60.0]])
+    assert motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper)) < 4.0
+    mapper.poses = np.array([(12.0 + 0.5 * step, 0.0, 0.0) for step in range(20)])
+    assert motion._free_of_map_in(np.zeros(3), 0.0, cast("LiveMapper", mapper)) == np.inf
+    # A hand's breadth aside the wall is still there.
+    aside = np.array((0.0, 25.0, 0.0))
+    assert motion._free_of_map_in(aside, 0.0, cast("LiveMapper", mapper)) < 4.0
 
 
 def test_wall_too_near_to_measure_is_followed_for_8_in_in_all() -> None:

@@ -328,11 +328,11 @@ def test_box_is_an_obstacle_of_the_world(estimate: MapEstimate, tmp_path: Path) 
     corners = np.array(BOX)
     sides = [
         walls.Piece(99, 0.0, 9.0, np.array(ends), [False, True], 9, 0.1, 0.01)
-        for ends in zip(BOX[:3], BOX[1:], strict=True)
+        for ends in (BOX[:2], BOX[1:3], BOX[2:])
     ]
     count = len(found.walls)
     outline = walls.Outline(corners, (count, count + 1, count + 2))
-    points = np.concatenate((found.points, corners + (3.0, 0.0)))
+    points = np.concatenate((found.points, corners + np.array((3.0, 0.0))))
     found = replace(found, walls=(*found.walls, *sides), outlines=(outline,), points=points)
     world = found.world("boxes")
     assert [(solid.name, solid.corners_in) for solid in world.obstacles] == [("box 1", BOX)]

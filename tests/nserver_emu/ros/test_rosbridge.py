@@ -337,7 +337,7 @@ async def test_server_closes_twice() -> None:
 
 async def test_open_network_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     daemon = Daemon(Emulator(simulation()))
-    async with serve_rosbridge(daemon, "0.0.0.0", 0):
+    async with serve_rosbridge(RosbridgeServer(daemon), "0.0.0.0", 0):
         assert "unencrypted" in caplog.text
     await daemon.close()
 

@@ -14,7 +14,7 @@ from nclient.transports.listener import Allowlist
 from nserver_emu import cli
 from nserver_emu.server.admission import ACCEPTS_PER_TURN, listen
 from nserver_emu.server.serial_lines import RobotdConnection, robot_line
-from nserver_emu.viewer.server import serve_viewer
+from nserver_emu.viewer.server import ViewerServer, serve_viewer
 from tests.nserver_emu.server.running_server import running_server
 
 
@@ -85,6 +85,6 @@ async def test_every_port_accepts_one_connection_per_turn(option: str, monkeypat
                 lambda: RobotdConnection(server.daemon, robot), "127.0.0.1", 0, option
             )
         elif option == "--viewer":
-            async with serve_viewer(server.daemon, "127.0.0.1", 0):
+            async with serve_viewer(ViewerServer(server.daemon), "127.0.0.1", 0):
                 pass
     assert set(backlogs) == {ACCEPTS_PER_TURN}

@@ -136,7 +136,6 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
         for client in clients:
             with client:
                 assert client.recv(1) == b""
-    assert handler.failed == 2
     assert caplog.messages == ["no connection can be accepted for a second: Too many open files"] * 2
     handler.close()
     caplog.clear()

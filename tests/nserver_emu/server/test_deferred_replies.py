@@ -97,9 +97,9 @@ def test_cancelled_replies_are_not_polled() -> None:
 def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
     emulator = Emulator(simulation())
     _, session = waiting(emulator, 60)
-    assert len(emulator._deferred) == 1
+    assert len(emulator.deferred) == 1
     emulator.on_disconnect(session.context)
-    assert len(emulator._deferred) == 0
+    assert len(emulator.deferred) == 0
 
 
 @pytest.mark.long

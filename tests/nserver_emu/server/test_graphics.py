@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nserver_emu.server import graphics
-from nserver_emu.server.graphics import BLACK, COLOURS, Figure, Graphics, Layer, Shape
+from nserver_emu.server.graphics import BLACK, COLOURS, Figure, Graphics, Shape
 
 LINE = (0, 0, 100, 200)
 POSE = (10, 20, 900, 450)
@@ -90,9 +90,3 @@ def test_old_changes_are_dropped(window: Graphics) -> None:
             assert window.changes(0, window.drawn) == ([], window.numbered)
     assert window.changes(0, window.drawn) is None
     assert window.changes(window.drawn - 1, window.drawn) == ([window.drawn - 1], [])
-
-
-def test_layers_count_how_often_they_were_to_be_redrawn(window: Graphics) -> None:
-    window.redraw(Layer.SONAR, Layer.LASER)
-    window.redraw(Layer.SONAR)
-    assert (window.redrawn[Layer.SONAR], window.redrawn[Layer.LASER], window.redrawn[Layer.CLIENT]) == (2, 1, 0)

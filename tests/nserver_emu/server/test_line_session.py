@@ -191,7 +191,7 @@ def test_the_small_answers() -> None:
     host, _ = meet_on_line(emulator)
     assert host.frame("get_ra").data == b""
     assert host.ask("tk", "hello").slots.keys() >= {34, 35}
-    assert [utterance.text for utterance in emulator.transcript.utterances] == ["hello"]
+    assert [utterance.text for utterance in emulator.transcript] == ["hello"]
     host.ask("da", -900, 450)
     assert host.ask("get_rc").slots == {34: 0, 35: 0, 36: 2700, 37: 450}
     host.ask("vm", 0, -100, 20)

@@ -17,6 +17,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import http_port
 from nserver_emu.viewer.http_port import TokenFileError, Tokens, address, load_tokens, new_tokens
+from nserver_emu.viewer.server import ViewerServer
 from nserver_emu.viewer.server import serve_viewer as page_served
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, serve_viewer
@@ -68,7 +69,7 @@ def test_a_token_file_that_cannot_be_created_is_an_error() -> None:
 async def test_the_address_stays_the_same_over_restarts(tmp_path: Path) -> None:
     async def line() -> str:
         tokens = load_tokens(tmp_path / "tokens")
-        async with page_served(Daemon(Emulator(simulation())), HOST, 0, tokens) as lines:
+        async with page_served(ViewerServer(Daemon(Emulator(simulation())), tokens), HOST, 0) as lines:
             return lines[0].rpartition("/")[2]
 
     assert await line() == await line()
@@ -143,7 +144,8 @@ def _no_network(*_: object) -> None:
 
 
 async def test_a_wildcard_address_is_printed_usably_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    async with page_served(Daemon(Emulator(simulation())), "0.0.0.0", 0) as (line,), aiohttp.ClientSession() as web:
+    server = ViewerServer(Daemon(Emulator(simulation())))
+    async with page_served(server, "0.0.0.0", 0) as (line,), aiohttp.ClientSession() as web:
         url = line.split()[-1]
         assert "0.0.0.0" not in url
         async with web.get(url) as answer:
@@ -154,7 +156,7 @@ async def test_a_wildcard_address_is_printed_usably_with_a_warning(caplog: pytes
 
 async def test_a_page_on_a_name_prints_that_name_and_is_known_by_it(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
-    async with page_served(Daemon(Emulator(simulation())), "LocalHost", 0) as (line,):
+    async with page_served(ViewerServer(Daemon(Emulator(simulation()))), "LocalHost", 0) as (line,):
         url = line.split()[-1]
         async with aiohttp.ClientSession() as web, web.get(url) as answer:
             assert answer.status == 200

@@ -338,7 +338,7 @@ def test_looking_changes_nothing_that_comes_later() -> None:
         history.since(0)
     first, second = (client.ask("gs") for client in clients)
     assert first == second
-    assert looked.layers(1) == alone.layers(1)
+    assert looked.traces.to_state() == alone.traces.to_state()
 
 
 @pytest.mark.parametrize(("name", "half_cone_deg", "count"), [("corridor8", 15.0, 8), ("ring24", 12.5, 24)])

@@ -8,7 +8,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.control.snapshot import dumps, loads
-from nserver_emu.server.graphics import MAX_UTTERANCES, SpeechLog, Utterance
+from nserver_emu.server.graphics import MAX_UTTERANCES, Utterance
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
@@ -55,14 +55,13 @@ def later(emulator: Emulator, session: Session, client: WireClient, name: str, *
 def test_spoken_texts_are_logged_with_robot_and_time(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     emulator.simulation.step(1.5)
     connected[0].send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
-    assert emulator.transcript.utterances == (Utterance(1.5, 1, "hello"),)
+    assert list(emulator.transcript) == [Utterance(1.5, 1, "hello")]
 
 
-def test_a_transcript_forgets_its_oldest() -> None:
-    transcript = SpeechLog()
+def test_a_transcript_forgets_its_oldest(emulator: Emulator) -> None:
     for number in range(MAX_UTTERANCES + 5):
-        transcript.add(Utterance(0.0, 1, str(number)))
-    assert (len(transcript.utterances), transcript.utterances[0].text) == (MAX_UTTERANCES, "5")
+        emulator.transcript.append(Utterance(0.0, 1, str(number)))
+    assert (len(emulator.transcript), emulator.transcript[0].text) == (MAX_UTTERANCES, "5")
 
 
 def test_the_arm_moves_and_wait_answers_when_it_is_there(

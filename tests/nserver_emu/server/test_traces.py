@@ -1,28 +1,22 @@
-"""The layers of a window as plain data, and traces of bounded size."""
+"""Traces of robots, of bounded size."""
 
 from __future__ import annotations
 
-import json
 import tracemalloc
 from math import cos, hypot, sin
 
 import pytest
 
 from nserver_emu.control.snapshot import dumps, loads
-from nserver_emu.server.graphics import MAX_POINTS, POINT_SPACING_IN, REMOVED_TOGETHER, Layer, Trace
+from nserver_emu.server.graphics import MAX_POINTS, POINT_SPACING_IN, REMOVED_TOGETHER, Trace
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.simulation.models import N200
-from nserver_emu.simulation.noise import MEASURED
-from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import meet, simulation
-from worlds.io import load_world
-from worlds.world import StartPose
 
 
-def n200() -> Emulator:
-    made = Simulation(load_world("thesis_room"), seed=2)
-    made.add_robot(1, StartPose(20.0, 45.0, 0.3, 0.2), N200, MEASURED)
-    return Emulator(made)
+def tracks(emulator: Emulator, robot_id: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    found = (traces.get(robot_id) for traces in (emulator.traces.actual, emulator.traces.encoder))
+    actual, encoder = ([] if trace is None else trace.points for trace in found)
+    return actual, encoder
 
 
 def test_a_trace_has_half_inch_points_and_drops_the_oldest() -> None:
@@ -58,58 +52,33 @@ def test_actual_and_encoder_traces_differ_by_dp_and_noise() -> None:
     emulator.pass_time(3.0)
     client.ask("st")
     emulator.pass_time(60.0)
-    shown = emulator.layers(1)
-    actual, believed = shown["actual_trace"], shown["encoder_trace"]
+    shown = tracks(emulator, 1)
+    actual, believed = shown
     robot = emulator.simulation.robots[1]
-    assert actual[0] == [0.0, 0.0]
-    assert believed[0] == [0.0, 0.0]
+    assert actual[0] == (0.0, 0.0)
+    assert believed[0] == (0.0, 0.0)
     assert believed[1] == pytest.approx([100.5, 100.0], abs=0.6)
     assert hypot(actual[-1][0] - robot.actual.x_in, actual[-1][1] - robot.actual.y_in) < POINT_SPACING_IN
     assert hypot(believed[-1][0] - robot.encoder.x_in, believed[-1][1] - robot.encoder.y_in) < POINT_SPACING_IN
     assert 20 < len(actual) <= 62
     client.ask("refresh_all")
-    assert emulator.layers(1) == shown
-
-
-def test_every_layer_is_plain_data_equal_to_the_wire() -> None:
-    emulator = n200()
-    client, _ = meet(emulator)
-    client.ask("draw_line", 1, 2, 3, 4, 3)
-    emulator.pass_time(1.0)
-    shown = emulator.layers(1)
-    assert json.loads(json.dumps(shown)) == shown
-    assert set(shown) == {layer.value for layer in Layer}
-    slots = client.ask("gs").slots
-    assert shown["sonar"] == [slots[slot] for slot in range(17, 33)]
-    assert shown["infrared"] == [slots[slot] for slot in range(1, 17)]
-    assert shown["bumper"] == slots[33]
-    laser = client.ask("get_ls").laser
-    assert laser is not None
-    assert [round(10 * number) for point in shown["laser"] for number in point] == pytest.approx(laser[1:], abs=1)
-    assert shown["client_graphics"] == [{"figure": "line", "numbers": [1, 2, 3, 4], "colour": "Blue", "xor": True}]
-
-
-def test_a_robot_without_infrareds_and_laser_shows_none() -> None:
-    shown = Emulator(simulation()).layers(1)
-    assert (shown["infrared"], shown["laser"], shown["actual_trace"]) == ([], [], [[0.0, 0.0]])
-    with pytest.raises(KeyError):
-        Emulator(simulation()).layers(2)
+    assert tracks(emulator, 1) == shown
 
 
 def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     client.ask("create_robot", 2, 1)
-    assert emulator.layers(2)["actual_trace"] == []
+    assert tracks(emulator, 2) == ([], [])
     client.ask("vm", 100, 200, 0)
     emulator.pass_time(2.0)
     restored = Emulator(simulation())
     loads(restored, dumps(emulator))
-    assert restored.layers(2) == emulator.layers(2)
+    assert tracks(restored, 2) == tracks(emulator, 2)
     for each in (emulator, restored):
         each.pass_time(1.0)
-    assert restored.layers(2) == emulator.layers(2)
-    track = emulator.layers(2)["actual_trace"]
+    assert tracks(restored, 2) == tracks(emulator, 2)
+    track, _ = tracks(emulator, 2)
     assert len(track) > 15
 
 

@@ -1,0 +1,174 @@
+"""Faces of walls, inner corners, right angles, and doors that the robot has passed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from localization.filters.belief import Floats
+from localization.mapping.association import MapEstimate, _inner_corners, _runs, assign
+from localization.mapping.consistency import compare_returns
+from localization.mapping.learn import part_points
+from localization.mapping.problem import (
+    NO_FEATURE,
+    RIGHT_ANGLE_STD_RAD,
+    ROBUST_LIMIT,
+    Assignment,
+    MapProblem,
+    robust_cost,
+    robust_weight,
+    sensors_at,
+)
+
+
+def test_walls_of_a_room_are_measured_from_inside(estimate: MapEstimate) -> None:
+    # By the first pose, which is inside as all others are.
+    normals = np.stack((np.cos(estimate.state.walls[:, 0]), np.sin(estimate.state.walls[:, 0])), axis=-1)
+    inside = np.sign(normals @ estimate.state.poses[0, :2] - estimate.state.walls[:, 1])
+    np.testing.assert_array_equal(estimate.sides, inside)
+
+
+def test_nothing_is_assigned_to_a_face_from_its_back(estimate: MapEstimate) -> None:
+    turned, echoes = estimate.copy(), estimate.echoes()
+    walls = len(estimate.state.walls)
+    assert (assign(estimate, echoes)[0] < walls).sum() > 200
+    turned.sides = -estimate.sides
+    feature, cost = assign(turned, echoes)
+    assert not ((feature != NO_FEATURE) & (feature < walls)).any()
+    np.testing.assert_array_equal(cost[feature == NO_FEATURE], ROBUST_LIMIT**2)
+    # Of a wall that was measured from both sides both count.
+    turned.sides = 0.0 * estimate.sides
+    np.testing.assert_array_equal(assign(turned, echoes)[0], assign(estimate, echoes)[0])
+
+
+def corners_of(
+    walls: Floats, extents: Floats, sides: Floats, points: Floats, like: MapEstimate
+) -> set[tuple[int, int]]:
+    """Return the pairs of a point and a face that `_inner_corners` finds in a made-up map."""
+    made = like.copy()
+    made.state = replace(like.state, walls=walls, points=points)
+    made.extents, made.sides = extents, sides
+    return set(zip(*(indices.tolist() for indices in _inner_corners(made)), strict=True))
+
+
+@pytest.mark.parametrize(("other", "hides"), [
+    ((0.0, 50.0), False),  # behind the face: the corner of a table, seen from both sides
+    ((-50.0, 0.0), True),  # in front of it: the corner of a room
+    ((-50.0, 50.0), True),  # on both sides: the corners of two rooms, on one wall
+    ((-50.0, -20.0), False),  # another wall, which ends before it
+])  # fmt: skip
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
+def test_corner_of_a_room_is_hidden_by_its_walls(
+    estimate: MapEstimate, other: tuple[float, float], hides: bool, turn: float
+) -> None:
+    # The face x = 0 from y = 0 upwards, measured from x < 0, and a wall along y = 0; all turned.
+    walls = np.array([(turn, 0.0), (turn - 0.5 * np.pi, 0.0)])
+    extents = np.array([(0.0, 40.0), other])
+    found = corners_of(walls, extents, np.array([-1.0, 0.0]), np.zeros((1, 2)), estimate)
+    assert ((0, 0) in found) is hides
+    # Not where no face is known.
+    assert not corners_of(walls, extents, np.zeros(2), np.zeros((1, 2)), estimate)
+
+
+def test_path_opens_the_wall_that_it_crosses() -> None:
+    feet = np.linspace(0.0, 100.0, 101)
+    found = _runs(3, feet, np.array([50.0]), 9.0)
+    np.testing.assert_allclose(found, [(3, 0.0, 40.0), (3, 60.0, 100.0)])
+    np.testing.assert_allclose(_runs(3, feet, np.zeros(0), 9.0), [(3, 0.0, 100.0)])
+    # Also where the nearest spots are farther from it than the robot is wide.
+    apart = np.concatenate((np.linspace(0.0, 40.0, 9), np.linspace(58.0, 100.0, 9)))
+    assert len(_runs(3, apart, np.array([50.0]), 5.0)) == 2
+    assert len(_runs(3, apart, np.zeros(0), 5.0)) == 1
+
+
+def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate) -> None:
+    made = estimate.copy()
+    poses = np.array([(0.0, 0.0, 0.0), (10.0, 4.0, 0.0), (20.0, 4.0, 0.0), (30.0, -6.0, 0.0)])
+    made.state = replace(estimate.state, poses=poses, walls=np.array([(0.5 * np.pi, 2.0), (0.0, 100.0)]))
+    # The line y = 2 runs towards -x: met at x = 5 and 22; nothing meets x = 100.
+    crossed, none = made._passed_at()
+    np.testing.assert_allclose(sorted(crossed), [-22.0, -5.0])
+    assert not len(none)
+
+
+def angle_cost(problem: MapProblem, estimate: MapEstimate, angles: Floats) -> float:
+    state = replace(estimate.state, walls=np.column_stack((angles, np.full(len(angles), 50.0))))
+    return float(robust_cost(problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))[0]).sum())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_axes_of_a_building_are_those_that_cost_least(estimate: MapEstimate, seed: int) -> None:
+    rng, quarter = np.random.default_rng(seed), 0.5 * np.pi
+    angles = 0.3 + quarter * rng.integers(-2, 3, 7) + RIGHT_ANGLE_STD_RAD * rng.normal(size=7)
+    angles[5] += 0.6  # a slanted wall
+
+    def cost_by(axis: float) -> float:
+        off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
+        return float(robust_cost(off / RIGHT_ANGLE_STD_RAD).sum())
+
+    axis = minimize_scalar(cost_by, bounds=(0.25, 0.35), method="bounded", options={"xatol": 1e-9}).x
+    found = angle_cost(estimate.problem, estimate, angles)
+    assert found == pytest.approx(cost_by(axis), abs=1e-4)
+    # The slanted one costs what an outlier does, and pulls nothing.
+    state = replace(estimate.state, walls=np.column_stack((angles, np.full(7, 50.0))))
+    r, J = estimate.problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))
+    assert robust_weight(r)[5] < 1e-5
+    # Derivatives of the cost, the axes following, against difference quotients.
+    gradient = 2.0 * J.T @ (robust_weight(r) * r)
+    steps = 1e-6 * np.eye(7)
+    ahead, behind = (
+        np.array([angle_cost(estimate.problem, estimate, angles + sign * step) for step in steps])
+        for sign in (1.0, -1.0)
+    )
+    quotients = (ahead - behind) / 2e-6
+    np.testing.assert_allclose(gradient, quotients, rtol=1e-3, atol=0.05 * np.abs(gradient).max())
+
+
+def test_right_angles_are_no_matter_of_plain_least_squares_or_one_wall(estimate: MapEstimate) -> None:
+    assert not len(estimate.problem.plain.angle_residuals(estimate.state, estimate.assignment)[0])
+    alone = replace(estimate.state, walls=estimate.state.walls[:1])
+    assert not len(estimate.problem.angle_residuals(alone, Assignment(np.zeros(9, dtype=np.intp)))[0])
+
+
+def test_point_that_two_rooms_share_becomes_two(estimate: MapEstimate) -> None:
+    # Half of the echoes of a point are of another one, 1.9 in from it: within the gate of the association.
+    walls, trajectory = len(estimate.state.walls), estimate.problem.trajectory
+    number = max(range(len(estimate.state.points)), key=lambda point: len(estimate.echoes_of(walls + point)))
+    point, echoes = estimate.state.points[number], estimate.echoes_of(walls + number)
+    sensors = sensors_at(estimate.state.poses, estimate.state.parameters, trajectory, echoes)
+    off = sensors.face - point
+    bearing = np.arctan2(*(off @ np.array(((0.0, 1.0), (1.0, 0.0)))).T)
+    is_left = bearing > np.median(bearing)
+    towards = off[is_left].mean(axis=0)
+    moved = point + 1.9 * towards / np.hypot(*towards)
+    readings = trajectory.readings_in.copy()
+    readings[echoes[is_left]] += np.hypot(*(sensors.face - moved).T)[is_left] - np.hypot(*off.T)[is_left]
+    made = estimate.copy()
+    made.problem = estimate.problem.with_trajectory(replace(trajectory, readings_in=readings))
+    made.assignment = Assignment(estimate.assignment.feature)
+    # As if both were one.
+    assert part_points(estimate.copy()) == 0
+    before, count = made.cost, len(made.state.points)
+    assert part_points(made) == 1
+    assert made.cost < before
+    assert len(made.state.points) == count + 1
+    # One is nearer to where these were measured from by as much, but for what the path takes of it.
+    both = made.state.points[np.hypot(*(made.state.points - point).T) < 4.0]
+    assert len(both) == 2
+    assert abs(float(np.diff(both @ towards)[0]) / np.hypot(*towards)) == pytest.approx(1.9, abs=0.8)
+
+
+def test_late_ranges_that_do_not_count_contradict_nothing(estimate: MapEstimate) -> None:
+    # Wall 0 is left for a while; what is measured of it then is at the lower limit.
+    trajectory, feature = estimate.problem.trajectory, estimate.assignment.feature
+    made = estimate.copy()
+    made.assignment = replace(
+        estimate.assignment, feature=np.where((feature == 0) & (abs(trajectory.node - 58) < 25), NO_FEATURE, feature)
+    )
+    tested = len(compare_returns(made))
+    weight = np.where((feature == 0) & (trajectory.node > 58), 0.0, trajectory.weight)
+    made.problem = estimate.problem.with_trajectory(replace(trajectory, weight=weight))
+    assert len(compare_returns(made)) < tested
