@@ -28,7 +28,7 @@ from localization.live.run import GroundTruth, Publisher
 from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
-from localization.mapping.learn import ROUGHNESS_IN, MapLearner
+from localization.mapping.learn import LEVEL_ROUGHNESS_IN, ROUGHNESS_IN, MapLearner
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, drive_of_rows, read_drive
 from localization.mapping.output import LearnedMap, MapPublisher, describe, draw_learned, summary
@@ -54,8 +54,6 @@ SONARS: Final[Mapping[str, Callable[[Ring], ConeSonar]]] = MappingProxyType(
     {"rays": cone_sonar, "cones": cone_sonar, BUILDING_SETUP: building_sonar}
 )
 """Limits and noise of the readings by --sonars."""
-BUILDING_ROUGHNESS_IN = 0.8
-"""Pieces of a real wall differ by 40 mm, doors stand back."""
 PRINT_S = 5.0
 """Seconds of the robot's clock between two lines of progress."""
 SPEED_IN_S = 6.0
@@ -110,8 +108,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
               f"scale, turn scale, drift in rad/in (default: {','.join(map(str, PARAMETER_STDS[:COMMON_OFFSET]))})", ())
     parser.add_argument(
         "--roughness", type=arguments.parse_positive, metavar="IN",
-        help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}, with --sonars "
-             f"{BUILDING_SETUP} {BUILDING_ROUGHNESS_IN})",
+        help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}; with --sonars "
+             f"{BUILDING_SETUP} walls have levels instead, {LEVEL_ROUGHNESS_IN} rough each)",
     )  # fmt: skip
     parser.add_argument(
         "--sonars", choices=SONARS,
@@ -225,16 +223,9 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
 def learner_of(options: argparse.Namespace, source: Source) -> MapLearner:
     """Return the estimator of a drive."""
     return MapLearner(
-        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in(options),
+        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=options.roughness,
         scale_stds=options.scale_std,
     )
-
-
-def roughness_in(options: argparse.Namespace) -> float:
-    """Return --roughness, or that of the sonar model."""
-    if options.roughness is not None:
-        return float(options.roughness)
-    return BUILDING_ROUGHNESS_IN if options.sonars == BUILDING_SETUP else ROUGHNESS_IN
 
 
 def _learn(options: argparse.Namespace, source: Source, recordings: list[Path], page: MapPublisher | None) -> ExitCode:
@@ -378,7 +369,7 @@ def _follow(
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         return LiveMapper(
             collector, options.odometry_noise, SONARS[options.sonars or "cones"](body.ring), rays=rays,
-            roughness_in=roughness_in(options),
+            roughness_in=options.roughness,
         )
 
     limits = MODEL_LIMITS[robot.model.name].capped(options.speed, TURN_RAD_S)

@@ -8,6 +8,11 @@ A trial drives a robot along waypoints of a world, as a person would who sees th
     offset    distance between both at the middle of the learned one, after the best rigid fit of the walls (no scale)
     path      root mean square distance of the path from the true one, after the best rigid fit of the path
 
+With the setup *building* a wall of the world is a plane that nothing reflects at: its surface has levels. There the
+true wall is the straight line that fits the surface best, in the mean square, beside the measured parts of the learned
+line. No straight wall is nearer to what a sonar measures; the plane itself is half an inch from it in the median, and
+up to 3 in.
+
 The frame of a map is free, and so is the path in it: while the turret keeps its direction, a shift of the path is the
 same as offsets of the sonars by the cosine of their angles.
 """
@@ -32,12 +37,12 @@ import numpy as np
 from localization.experiments.execution import add_choice, add_shared, executor_for, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
-from localization.filters.sonar_cone import ConeSonar
-from localization.live.assumptions import RING_SETUPS
+from localization.filters.sonar_cone import ConeSonar, building_sonar
+from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, FiringTime, SensorData
 from localization.mapping.explore import Explorer
-from localization.mapping.learn import ROUGHNESS_IN, learn_map
+from localization.mapping.learn import learn_map
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import (
     DriveCollector,
@@ -56,11 +61,13 @@ from nclient import connect
 from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import RobotState, Truth
-from worlds.geometry import lengths, nearest_points
-from worlds.io import load_world
+from nserver_emu.simulation.acoustics import Polaroid, Surfaces
+from nserver_emu.simulation.noise import SETUPS as SIMULATIONS
+from worlds.geometry import lengths, nearest_points, polygon_segments
+from worlds.io import format_world, load_world
 from worlds.raycast_arrays import cast_rays
 from worlds.robots import N150
-from worlds.world import World
+from worlds.world import Polygon, StartPose, World
 
 Point = tuple[float, float]
 
@@ -94,7 +101,21 @@ FRESH_TOURS: Final[dict[str, tuple[Point, ...]]] = {
 }
 """Waypoints of the drive that compares localization on the learned and on the true map."""
 TIME_LIMIT_S: Final = 300.0
-FLAT: Final = "flat"
+FLAT, BOXES = "flat", "boxes"
+"""Worlds that are explored only."""
+BOX_ROOM: Final = World(
+    BOXES, "A room with two boxes and a post",
+    rooms=(Polygon(((0.0, 0.0), (142.0, 0.0), (142.0, 114.0), (0.0, 114.0))),),
+    obstacles=(
+        Polygon(((40.0, 64.0), (52.0, 64.0), (52.0, 76.0), (40.0, 76.0)), "box"),
+        Polygon(((92.348, 35.641), (109.568, 43.671), (103.652, 56.359), (86.432, 48.329)), "box askew"),
+        Polygon(((103.0, 85.0), (105.0, 85.0), (105.0, 87.0), (103.0, 87.0)), "post"),
+    ),
+    starts=(StartPose(22.0, 24.0),),
+)  # fmt: skip
+"""142 by 114 in; boxes of 12 by 12 and, askew, of 19 by 14 in; a post of 2 by 2 in."""
+MIN_BOX_IN: Final = 6.0
+"""Shortest side of an obstacle whose outline a map should have; others are posts."""
 EXPLORE_IN_S, EXPLORE_RAD_S = 6.0, 0.6
 """Top speeds of `nomad map learn`."""
 RADIUS_IN: Final = 2.0
@@ -109,9 +130,9 @@ CLOSED_IN: Final = 2.0
 """A loop is closed if the last position is so near to where the first one puts it."""
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization."""
-SETUPS: Final = ("measured", "noisy", "worn", "building")
-BUILDING_ROUGHNESS_IN: Final = 0.8
-"""`--roughness` for walls of a real building."""
+SETUPS: Final = ("measured", "noisy", "worn", BUILDING_SETUP)
+MIN_BESIDE_IN: Final = 4.0
+"""Of a wall that is beside a learned one over less, all of the surface counts."""
 OFFSETS, WHEELS, READINGS = "offsets", "wheels", "readings"
 DISTURBANCES: Final = (OFFSETS, WHEELS, READINGS)
 OFFSET_STD_IN, DISTANCE_SCALE, TURN_SCALE, BAD_FRACTION = 1.0, 1.03, 1.02, 0.2
@@ -134,9 +155,15 @@ class Trial(NamedTuple):
         return self.setup not in RING_SETUPS
 
     @property
-    def roughness_in(self) -> float:
-        """Standard deviation of the walls from straight lines, as `--roughness` gives it."""
-        return BUILDING_ROUGHNESS_IN if self.setup == "building" else ROUGHNESS_IN
+    def sonar(self) -> ConeSonar:
+        """The sonars, as `--sonars` gives them."""
+        return building_sonar(N150.ring) if self.setup == BUILDING_SETUP else ConeSonar()
+
+    @property
+    def surfaces(self) -> Surfaces | None:
+        """The surfaces of the walls; None if they are planes."""
+        sonar = SIMULATIONS[self.setup].sonar
+        return sonar.surfaces(self.seed) if isinstance(sonar, Polaroid) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +190,9 @@ class Score:
         RMSE of the learned path and of the encoders, after the best rigid fit each.
     true_map_in, own_map_in
         RMSE of a localization on another drive with the true map and with the learned one.
+    boxes, closed, false_outlines
+        Number of boxes in the world, of those whose outline the map has closed, all corners within 1 in, and of learned
+        outlines that are none.
     closing_in, odometry_closing_in
         Error of the last position in the frame of the first pose, of the learned path and of the encoders.
     """
@@ -189,9 +219,26 @@ class Score:
     live_seconds: float = 0.0
     closing_in: float = 0.0
     odometry_closing_in: float = 0.0
+    boxes: int = 0
+    closed: int = 0
+    false_outlines: int = 0
 
 
 # A drive.
+
+
+def world_of(name: str) -> World:
+    """Return the world of a trial."""
+    return BOX_ROOM if name == BOXES else load_world(name)
+
+
+def _source_of(name: str, folder: Path) -> str:
+    """Return the world of a trial as an address names it: by its name, or a file in a folder."""
+    if name != BOXES:
+        return name
+    path = folder / f"{name}.toml"
+    path.write_text(format_world(BOX_ROOM), encoding="utf-8")
+    return str(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,10 +259,11 @@ class Drive:
 def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
     """Return a drive along waypoints, steered by the true pose."""
     path = folder / f"{trial.world}_{trial.setup}_{trial.seed}.log"
-    start = load_world(trial.world).starts[LONG_STARTS.get(trial.world, 0)]
+    start = world_of(trial.world).starts[LONG_STARTS.get(trial.world, 0)]
     navigator = Navigator(points, radius_in=RADIUS_IN)
     truth = []
-    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
+    source = _source_of(trial.world, folder)
+    address = f"sim:{source}?setup={trial.setup}&seed={trial.seed}&start={start.x_in:g},{start.y_in:g}"
     with connect(f"{address}&step_s=0.1&record={path}") as robot, stop_on_exit(robot):
         state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
         robot.set_timeout(COMMAND_TIMEOUT_S)
@@ -272,11 +320,12 @@ def explore(trial: Trial, folder: Path) -> Drive:
 
     def mapper_of(collector: DriveCollector) -> LiveMapper:
         mappers.append(
-            _TimedMapper(collector, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
+            _TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None)
         )
         return mappers[-1]
 
-    address = f"sim:{trial.world}?setup={trial.setup}&seed={trial.seed}&step_s=0.1&record={path}"
+    source = _source_of(trial.world, folder)
+    address = f"sim:{source}?setup={trial.setup}&seed={trial.seed}&step_s=0.1&record={path}"
     with connect(address) as robot:
         for step, _, log in survey(robot, N150, mapper_of, explorer, limits, lambda _: None):
             seen = robot.truth()
@@ -339,19 +388,20 @@ def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[fl
     ends
         (n, 2, 2) ends of the learned walls.
     walls
-        (m, 4) true walls.
+        (m, 4) true walls, or (n, m, 4), those for each learned one.
     turn, shift
         Where to begin: the fit of the path.
     """
+    of_each = np.broadcast_to(walls, (len(ends), *walls.shape[-2:]))
     for _ in range(FIT_STEPS):
         # 1. The true wall at each learned one, if there is one.
         placed = rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
         rows, targets, sizes = [], [], []
-        for learned in placed.reshape(-1, 2, 2):
-            turned = np.array([_turn_between(wall, learned) for wall in walls])
-            away = np.where(turned < FIT_RAD, nearest_points(learned.mean(axis=0)[None], walls)[1][0], np.inf)
+        for learned, near in zip(placed.reshape(-1, 2, 2), of_each, strict=True):
+            turned = np.array([_turn_between(wall, learned) for wall in near])
+            away = np.where(turned < FIT_RAD, nearest_points(learned.mean(axis=0)[None], near)[1][0], np.inf)
             if away.min() < FIT_IN:
-                wall = walls[away.argmin()]
+                wall = near[away.argmin()]
                 normal = np.array((wall[1] - wall[3], wall[2] - wall[0])) / lengths(wall)
                 # 2. Distances of both ends from its line, and their derivatives by the turn and the shift.
                 for end in learned:
@@ -383,22 +433,46 @@ def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
     return found
 
 
+def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Floats:
+    """Return walls (m, 4) as the lines that fit their surfaces best beside parts (k, 2, 2) of a learned line."""
+    if surfaces is None:
+        return walls
+    found = []
+    for wall in walls:
+        length = float(np.hypot(*(wall[2:] - wall[:2])))
+        along = (wall[2:] - wall[:2]) / length
+        at: Floats = (np.arange(max(int(length / SAMPLE_IN), 2), dtype=np.float64) + 0.5) * SAMPLE_IN
+        spans = np.sort((parts - wall[:2]) @ along, axis=1)
+        beside = at[((at[:, None] > spans[:, 0]) & (at[:, None] < spans[:, 1])).any(axis=1)]
+        at = beside if len(beside) * SAMPLE_IN >= MIN_BESIDE_IN else at
+        slope, level_in = np.polyfit(at, surfaces.of(wall).level_in(at), 1)
+        left = np.array((-along[1], along[0]))
+        found.append(np.concatenate((wall[:2] + level_in * left, wall[2:] + (level_in + slope * length) * left)))
+    return np.array(found)
+
+
 def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, odometry: Floats) -> dict[str, Any]:
     """Return the numbers of a learned map against the world's walls."""
-    walls = load_world(trial.world).walls
+    walls = world_of(trial.world).walls
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
-    turn, shift = _fit_of(found, walls, true_path)
+    turn, shift = _fit_of(found, walls, trial.surfaces, true_path)
     ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
+    beside = _lines_of(found, walls, trial.surfaces, turn, shift)
+    sides = [
+        (rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
+        for outline in found.outlines for side in polygon_segments(outline.corners)
+    ]  # fmt: skip
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
     covered, missing, near_samples = 0, [], 0
     samples = visible_samples(walls, true_path[:: max(len(true_path) // 60, 1)])
     visible = [k for k, points in enumerate(samples) if len(points) >= 4]
     for k in visible:
         near = np.zeros(len(samples[k]), dtype=np.bool_)
-        for learned in ends:
-            if _turn_between(walls[k], learned) <= FOUND_RAD:
-                near |= nearest_points(samples[k], learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
+        for learned, lines in (*zip(ends, beside, strict=True), *sides):
+            if _turn_between(lines[k], learned) <= FOUND_RAD:
+                places = _moved_onto(samples[k], walls[k], lines[k])
+                near |= nearest_points(places, learned.reshape(1, 4))[1][:, 0] <= FOUND_IN
         near_samples += int(near.sum())
         if near.mean() >= FOUND_FRACTION:
             covered += 1
@@ -407,19 +481,19 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     # 3. Learned walls: how much of each is at a wall of the world, and how far off.
     near_length, false = 0.0, 0
     offsets, angles, corners, z = [], [], [], []
-    for piece, learned in zip(found.walls, ends, strict=True):
+    for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
-        is_near = nearest_points(points, walls)[1].min(axis=1) <= FOUND_IN
+        is_near = nearest_points(points, lines)[1].min(axis=1) <= FOUND_IN
         near_length += float(is_near.mean()) * piece.length_in
         if is_near.mean() < FOUND_FRACTION:
             false += 1
             continue
-        offset, angle = _error(learned, walls)
+        offset, angle = _error(learned, lines)
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
-        true_ends = walls.reshape(-1, 2)
+        true_ends = lines.reshape(-1, 2)
         corners += [
             float(np.hypot(*(true_ends - end).T).min())
             for end, is_closed in zip(learned, piece.closed, strict=True)
@@ -431,14 +505,53 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         "seen": near_samples / max(sum(len(samples[k]) for k in visible), 1),
         "precision": near_length / total if total else 0.0, "offsets_in": offsets, "angles_deg": angles,
         "ends_in": corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
-        "odometry_in": fit_error(odometry, true_path),
+        "odometry_in": fit_error(odometry, true_path), **_outline_score(world_of(trial.world), found, turn, shift),
     }  # fmt: skip
 
 
-def _fit_of(found: LearnedMap, walls: Floats, true_path: Floats) -> tuple[float, Floats]:
+def _outline_score(world: World, found: LearnedMap, turn: float, shift: Floats) -> dict[str, int]:
+    """Return the numbers of boxes, of those whose outline is closed, and of false outlines."""
+    boxes = [np.array(solid.corners_in) for solid in world.obstacles if lengths(solid.segments()).min() >= MIN_BOX_IN]
+    outlines = [rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
+
+    def is_of(outline: Floats, box: Floats) -> bool:
+        away = np.hypot(*(outline[:, None] - box).transpose(2, 0, 1))
+        return bool(max(away.min(axis=0).max(), away.min(axis=1).max()) <= FOUND_IN)
+
+    return {
+        "boxes": len(boxes),
+        "closed": sum(any(is_of(outline, box) for outline in outlines) for box in boxes),
+        "false_outlines": sum(not any(is_of(outline, box) for box in boxes) for outline in outlines),
+    }
+
+
+def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
+    """Return points (k, 2) on a wall (4,) at the same fractions of the length of a line (4,)."""
+    along = wall[2:] - wall[:2]
+    fractions = (samples - wall[:2]) @ along / float(along @ along)
+    moved: Floats = samples + (1.0 - fractions)[:, None] * (line - wall)[:2] + fractions[:, None] * (line - wall)[2:]
+    return moved
+
+
+def _fit_of(
+    found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats
+) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
     turn, shift = rigid_fit(found.path[:, :2], true_path)
-    return map_fit(np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2), walls, turn, shift)
+    ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2)
+    # Which parts of the surfaces are beside the learned walls depends a little on where these are.
+    for _ in range(1 if surfaces is None else 2):
+        turn, shift = map_fit(ends, _lines_of(found, walls, surfaces, turn, shift), turn, shift)
+    return turn, shift
+
+
+def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn: float, shift: Floats) -> Floats:
+    """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
+    measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
+    placed = (rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
+    line = np.array([wall.line for wall in found.walls])
+    beside = [lines_beside(walls, surfaces, placed[line == wall.line]) for wall in found.walls]
+    return np.array(beside).reshape(len(line), len(walls), 4)
 
 
 def _turn_between(wall: Floats, learned: Floats) -> float:
@@ -493,7 +606,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     # 1. The map, from the recording alone.
     began = time.process_time()
     log = disturbed(driven.log, trial.disturbance, trial.seed)
-    estimate = learn_map(log, THESIS_ODOMETRY, ConeSonar(), rays=trial.rays, roughness_in=trial.roughness_in)
+    estimate = learn_map(log, THESIS_ODOMETRY, trial.sonar, rays=trial.rays)
     found = describe(estimate)
     seconds = time.process_time() - began
     # 2. Against the truth.
@@ -501,7 +614,7 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
     true_path = driven.truth_at(trajectory.instants_s)
     closing = (closing_error(found.path, true_path), closing_error(trajectory.odometry, true_path))
-    turn, shift = _fit_of(found, load_world(trial.world).walls, true_path[:, :2])
+    turn, shift = _fit_of(found, world_of(trial.world).walls, trial.surfaces, true_path[:, :2])
     own = true = math.nan
     if fresh is not None:
         if found.walls:
@@ -546,6 +659,7 @@ def summarize(scores: Sequence[Score], name: str = "measured") -> list[list[str]
         ["runs", "100", str(len(scores))],
         *_rows_of_walls(scores),
         ["visible length found: mean, worst", "90 % of a flat", _shares([score.seen for score in scores])],
+        *_rows_of_boxes(scores),
         *_rows_of_exploration([score for score in scores if score.trial.explores]),
         ["false walls", "1 in 50 runs", f"{sum(score.false for score in scores)} in {len(scores)} runs"],
         ["precision: mean, worst", "99 %, 90 %", _shares([score.precision for score in scores])],
@@ -576,6 +690,17 @@ def _rows_of_walls(scores: Sequence[Score]) -> list[list[str]]:
         inner = sum(all(hypot(x + 1.0, y - 40.0) > 8.0 for x, y in score.missing) for score in several)
         rows.append(["several_walls: the wall at y = 40", "90 % of the runs", f"{inner} of {len(several)}"])
     return rows
+
+
+def _rows_of_boxes(scores: Sequence[Score]) -> list[list[str]]:
+    """Return the rows of closed outlines; none without boxes or outlines."""
+    boxes, false = sum(score.boxes for score in scores), sum(score.false_outlines for score in scores)
+    if not boxes + false:
+        return []
+    return [
+        ["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
+        ["false outlines", "0", str(false)],
+    ]
 
 
 def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
@@ -622,8 +747,8 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command; errors of files are propagated."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if FLAT in options.worlds and not options.explore:
-        parser.error(f"{FLAT} has no waypoints: add --explore")
+    if {FLAT, BOXES} & set(options.worlds) and not options.explore:
+        parser.error(f"{FLAT} and {BOXES} have no waypoints: add --explore")
     trials = [
         Trial(world, setup, seed, options.time_limit, options.explore, options.disturb or "")
         for world in options.worlds
@@ -658,7 +783,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
         epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
     )
-    add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT), list(TOURS), f"worlds; {FLAT} with --explore alone")
+    add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT, BOXES), list(TOURS),
+               f"worlds; {FLAT} and {BOXES} with --explore alone")
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")
     parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S",
                         help="end a drive after this time in s (default: %(default)s)")  # fmt: skip

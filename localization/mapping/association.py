@@ -43,13 +43,16 @@ from localization.filters.sonar_ray import RangeNoise, intersect_line
 from localization.mapping.measurements import Indices, compose, rotate
 from localization.mapping.problem import (
     COMMON_OFFSET,
-    HALF_CONE_RAD,
+    LEVEL_CELL_IN,
     NO_FEATURE,
+    NO_LEVEL,
     ROBUST_LIMIT,
     Assignment,
+    Levels,
     MapProblem,
     MapState,
     Sensors,
+    predict_wall,
     robust_cost,
     sensors_at,
 )
@@ -59,8 +62,8 @@ Mask = npt.NDArray[np.bool_]
 GATE_SIGMAS: Final = 3.0
 GATE_IN: Final = 0.4
 """Added to the gate: poses and features are uncertain as well."""
-MAX_OFF_AXIS_RAD: Final = HALF_CONE_RAD + radians(4.0)
-"""Half angle of a cone, and the uncertainty of the heading."""
+OFF_CONE_RAD: Final = radians(4.0)
+"""Added to the half angle of a cone: the uncertainty of the heading."""
 MIN_GROWTH_IN, MAX_GROWTH_IN, GROWTH = 20.0, 48.0, 0.4
 """A wall may be measured this fraction of its length beyond the part seen so far, within limits: beyond a gap that a
 robot passes. The line of a wall of 120 in is known well enough beyond a door."""
@@ -71,6 +74,8 @@ MIN_CROSSING_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle may be of one wall."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
+SURFACE_SIGMAS: Final = 2.0
+"""Standard deviations of a surface by which a wall may be beside its line: so much farther before its end."""
 END_IN, END_ASIDE_IN = 8.0, 1.0
 """A point so near to the end that a wall's echoes show, and to its line, is its end: sound from 30 in away that has its
 foot 8 in beyond comes an inch late."""
@@ -132,7 +137,23 @@ class MapEstimate:
         """Cost of all residuals, and of all features by PENALTY."""
         state = self.state
         penalty = PENALTY["wall"] * len(state.walls) + PENALTY["point"] * len(state.points)
-        return self.problem.cost(state, self.assignment) + penalty
+        return self.problem.cost(state, self.assignment) + penalty + float(self._level_penalties.sum())
+
+    @property
+    def _level_penalties(self) -> Floats:
+        """Cost (l,) of the choice of each level: how much its echoes narrow its prior."""
+        return self.problem.level_penalties(self.state.levels, self.assignment)
+
+    @property
+    def surface_costs(self) -> Floats:
+        """Cost (w,) of the levels of each wall, which is saved without the wall."""
+        levels = self.state.levels
+        if not len(levels):
+            return np.zeros(len(self.state.walls))
+        costs = np.square(self.problem.level_residuals(levels)[0]) + self._level_penalties
+        totals: Floats = np.zeros(len(self.state.walls))
+        np.add.at(totals, levels.wall, costs)
+        return totals
 
     @property
     def misfit(self) -> float:
@@ -152,6 +173,7 @@ class MapEstimate:
 
     def optimize(self, iterations: int = 4, *, robust: bool = True) -> None:
         """Optimize everything for the present assignment."""
+        self._measure_levels()
         problem = self.problem if robust else self.problem.plain
         self.state = problem.optimize(self.state, self.assignment, iterations)
 
@@ -162,6 +184,48 @@ class MapEstimate:
         feature[echoes], _ = assign(self, echoes)
         self.assignment = replace(self.assignment, feature=feature)
         self.measure_extents()
+        self._measure_levels()
+
+    def _measure_levels(self) -> None:
+        """Give each wall the levels of the part that its echoes show, and each of these echoes its level.
+
+        A cell that is new has the expected value of its level, given that of the nearest one.
+        """
+        reflection = self.problem.reflection
+        if not reflection.surface_std_in:
+            return
+        feature, levels = self.assignment.feature, self.state.levels
+        echoes = np.flatnonzero((feature != NO_FEATURE) & (feature < len(self.state.walls)))
+        walls = feature[echoes]
+        feet = self._feet(echoes)
+        # 1. All cells from the first to the last echo of each wall.
+        if not self.problem.has_fixed_map:
+            cells = np.floor(feet / LEVEL_CELL_IN).astype(np.intp)
+            parts = [
+                (wall, np.arange(own.min(), own.max() + 1))
+                for wall in np.unique(walls).tolist() for own in (cells[walls == wall],)
+            ]  # fmt: skip
+            wall = np.concatenate([np.full(len(part), number) for number, part in parts] or [levels.wall[:0]])
+            cell = np.concatenate([part for _, part in parts] or [levels.cell[:0]])
+            row, away_in = levels.nearest(wall, (cell + 0.5) * LEVEL_CELL_IN)
+            away_in = np.where(away_in > 0.0, away_in + 0.5 * LEVEL_CELL_IN, 0.0)
+            values = np.append(levels.value_in, 0.0)[row] * reflection.correlation(away_in)
+            levels = Levels(wall, cell, values, np.zeros(len(wall)))
+        # 2. The level of each echo.
+        level = np.full(len(feature), NO_LEVEL, dtype=np.intp)
+        level[echoes], _ = levels.nearest(walls, feet)
+        self.assignment = replace(self.assignment, level=level)
+        # 3. How well each level is known.
+        if not self.problem.has_fixed_map:
+            information = self.problem.level_information(levels, self.assignment)
+            prior = np.square(self.problem.level_residuals(levels)[1])
+            self.state = replace(self.state, levels=replace(levels, var_in2=1.0 / (prior + information)))
+
+    def _feet(self, echoes: Indices) -> Floats:
+        """Return the coordinates (e,) along the walls that explain echoes at which these were reflected."""
+        sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
+        walls = self.state.walls[self.assignment.feature[echoes]]
+        return predict_wall(sensors, walls, self.problem.rays).foot
 
     def echoes(self, first_node: int = 0) -> Indices:
         """Return the echoes of the nodes from one on."""
@@ -180,7 +244,7 @@ class MapEstimate:
         """Return coordinates along a wall at which echoes within ROBUST_LIMIT were reflected, and from which side."""
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
         lines = self.state.walls[wall : wall + 1]
-        ranges, _, feet = _wall_geometry(sensors, lines, self.problem.rays)
+        ranges, _, feet, _ = _wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
         fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * self.problem.trajectory.std_in[echoes]
         return feet[fits, 0], sides_of(sensors.face[fits], lines)[:, 0]
 
@@ -253,6 +317,11 @@ class MapEstimate:
         walls = self.state.walls[self.runs[:, 0].astype(np.intp)]
         return segments_of(walls, self.runs[:, 1:], BLOCKED_IN)
 
+    @property
+    def blocked_in(self) -> float:
+        """A path is blocked by a wall at least this far before its end, inches."""
+        return BLOCKED_IN + SURFACE_SIGMAS * self.problem.reflection.surface_std_in
+
     def narrow(self, wall: int, extent: Floats) -> None:
         """Set the extent (2,) of a wall, of which all is measured."""
         self.extents = np.where(np.arange(len(self.extents))[:, None] == wall, extent, self.extents)
@@ -277,7 +346,9 @@ class MapEstimate:
         state, walls, feature = self.state, len(self.state.walls), self.assignment.feature
         feature = np.where(feature == removed, NO_FEATURE, feature - (feature > removed))
         if removed < walls:
-            self.state = replace(state, walls=np.delete(state.walls, removed, axis=0))
+            levels = state.levels.some(state.levels.wall != removed)
+            levels = replace(levels, wall=levels.wall - (levels.wall > removed))
+            self.state = replace(state, walls=np.delete(state.walls, removed, axis=0), levels=levels)
             self.extents = np.delete(self.extents, removed, axis=0)
             self.sides = np.delete(self.sides, removed)
             runs = self.runs[self.runs[:, 0] != removed]
@@ -286,6 +357,7 @@ class MapEstimate:
             self.state = replace(state, points=np.delete(state.points, removed - walls, axis=0))
         # Ties are found again when they are needed.
         self.assignment = Assignment(feature)
+        self._measure_levels()
 
 
 def _runs(wall: int, feet: Floats, passed: Floats, radius_in: float) -> Floats:
@@ -328,11 +400,11 @@ def crossings(starts: Floats, ends: Floats, segments: Floats) -> Mask:
     return np.asarray(apart & between, dtype=np.bool_)
 
 
-def is_blocked(starts: Floats, ends: Floats, segments: Floats) -> Mask:
-    """Return True (p,) for paths that cross a segment well before their end."""
+def is_blocked(starts: Floats, ends: Floats, segments: Floats, before_in: float = BLOCKED_IN) -> Mask:
+    """Return True (p,) for paths that cross a segment at least so many inches before their end."""
     span = ends - starts
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)
-    before = starts + span * (np.maximum(length - BLOCKED_IN, 0.0) / length)[:, None]
+    before = starts + span * (np.maximum(length - before_in, 0.0) / length)[:, None]
     return np.asarray(crossings(starts, before, segments).any(axis=1), dtype=np.bool_)
 
 
@@ -342,18 +414,29 @@ def sides_of(places: Floats, walls: Floats) -> Floats:
     return np.where(places @ normals.T > walls[:, 1], 1.0, -1.0)
 
 
-def _wall_geometry(sensors: Sensors, walls: Floats, rays: bool) -> tuple[Floats, Floats, Floats]:
-    """Return range, angle off the axis and foot (e, w) of each wall from each sonar."""
+def _wall_geometry(
+    problem: MapProblem, state: MapState, sensors: Sensors, numbers: slice = slice(None)
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return range, angle off the axis and foot (e, w) of each wall from each sonar, and the variance of its level."""
+    walls = state.walls[numbers]
     c, s = np.cos(walls[None, :, 0]), np.sin(walls[None, :, 0])
     offset = walls[None, :, 1]
     x, y, axis = sensors.face[:, :1], sensors.face[:, 1:], sensors.axis[:, None]
-    if rays:
+    reflection, variance = problem.reflection, np.zeros((1, 1))
+    if reflection.surface_std_in:
+        # The level where the echo comes from, and how uncertain it is farther on.
+        feet = c * y - s * x
+        row, away_in = state.levels.nearest(np.arange(len(state.walls))[numbers], feet)
+        a = np.where(row != NO_LEVEL, reflection.correlation(away_in), 0.0)
+        offset = offset + a * np.append(state.levels.value_in, 0.0)[row]
+        variance = reflection.surface_std_in**2 * (1.0 - a * a) + a * a * np.append(state.levels.var_in2, 0.0)[row]
+    if problem.rays:
         dx, dy = unit_vector(axis)
         ranges, _, cosine = intersect_line(x, y, dx, dy, (c, s, offset))
         away = (ranges > 0.0) & (np.abs(cosine) > MIN_RAY_COS)
-        return ranges, np.where(away, 0.0, np.pi), c * (y + ranges * dy) - s * (x + ranges * dx)
+        return ranges, np.where(away, 0.0, np.pi), c * (y + ranges * dy) - s * (x + ranges * dx), variance
     ranges, toward_x, toward_y, foot = to_wall(x, y, offset * c, offset * s, c, s)
-    return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot
+    return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
 
 
 def residual_matrix(
@@ -378,7 +461,7 @@ def residual_matrix(
     if sensors is None:
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
-    ranges, off_axis, feet = _wall_geometry(sensors, state.walls, problem.rays)
+    ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
     growth = np.clip(GROWTH * (extents[:, 1] - extents[:, 0]), MIN_GROWTH_IN, MAX_GROWTH_IN)
     on_wall = (feet > extents[:, 0] - growth) & (feet < extents[:, 1] + growth)
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
@@ -392,9 +475,13 @@ def residual_matrix(
     spots = np.concatenate((spots, np.broadcast_to(state.points, (*far.shape, 2))), 1)
     # 3. The gate.
     std = problem.trajectory.std_in[echoes][:, None]
+    if problem.reflection.surface_std_in:
+        of_points = np.broadcast_to(std, far.shape)
+        std = np.concatenate((np.sqrt(std**2 + variance), of_points), axis=1)
     residual = sensors.range_in[:, None] - ranges
     fits = np.abs(residual) < GATE_SIGMAS * std + GATE_IN
-    fits &= (np.abs(off_axis) < MAX_OFF_AXIS_RAD) & np.concatenate((on_wall, everywhere), 1)
+    in_cone = np.abs(off_axis) < problem.reflection.half_cone_rad + OFF_CONE_RAD
+    fits &= in_cone & np.concatenate((on_wall, everywhere), 1)
     return np.where(fits, residual / std, np.inf), sensors, spots
 
 
@@ -411,7 +498,7 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     np.logical_or.at(hidden := np.zeros((len(estimate.state.points), len(echoes)), np.bool_), points, is_back.T[faces])
     residual[:, len(walls) :][hidden.T] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
-    blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking)
+    blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
     # 2. The nearest.
     best = np.abs(residual).argmin(axis=1)
@@ -517,6 +604,8 @@ HARMONICS: Final = np.arange(1, 6)
 """Terms of the sum: with the noise of a range of 6 in, 0.06 in and more, later ones are below 1 % of the variance."""
 MAX_DITHER: Final = 0.4
 """Noise in steps from which rounding errors are independent: the first term is 4 % of the variance."""
+POINT_WEIGHT: Final = 0.2
+"""Of the ranges of points where walls have surfaces: posts are none, and their ranges err alike from nearby places."""
 MIN_STEP_IN: Final = 1e-6
 LIMIT_STDS: Final = 2.5
 """Expected ranges this much of the noise above the lower limit have readings on both sides of them."""
@@ -570,6 +659,8 @@ def weigh_ranges(estimate: MapEstimate, sonar: RangeNoise) -> None:
         np.fill_diagonal(covariance, 0.0)
         own = variance[echoes[rows]]
         weight[echoes[rows]] = own / (own + np.maximum(covariance.sum(axis=1), 0.0))
+    if estimate.problem.reflection.surface_std_in:
+        weight[echoes[feature[echoes] >= len(estimate.state.walls)]] *= POINT_WEIGHT
     # 4. What is expected near the lower limit.
     lowest_in = sonar.lowest_in + 0.5 * step + LIMIT_STDS * np.sqrt(noise_var[echoes])
     weight[echoes[predicted < lowest_in]] = 0.0

@@ -43,18 +43,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import (
-    MAX_OFF_AXIS_RAD,
-    MapEstimate,
-    Mask,
-    assign,
-    is_blocked,
-    segments_of,
-    sides_of,
-)
+from localization.mapping.association import OFF_CONE_RAD, MapEstimate, Mask, assign, is_blocked, segments_of, sides_of
 from localization.mapping.consistency import check_parts
 from localization.mapping.measurements import Indices, rotate
 from localization.mapping.problem import (
+    HALF_CONE_RAD,
     NO_FEATURE,
     Assignment,
     RangePrediction,
@@ -68,8 +61,8 @@ from localization.mapping.problem import (
 ANGLE_CELL_RAD: Final = radians(2.0)
 OFFSET_CELL_IN: Final = 1.5
 POINT_CELL_IN: Final = 2.0
-FAN: Final = np.arange(-6, 7) * ANGLE_CELL_RAD
-"""Directions within the cone for which an echo votes."""
+RAY_FAN: Final = np.arange(-6, 7) * 3.0 * ANGLE_CELL_RAD
+"""Directions off a ray for which an echo votes: normals of walls."""
 MIN_VOTES: Final = 6
 FRONT: Final = -1.0
 """Side of a new wall on which its sonars are: its normal points away from them."""
@@ -106,6 +99,18 @@ class FreeEchoes:
     sensors: Sensors
     std_in: Floats
     rays: bool
+    half_cone_rad: float = HALF_CONE_RAD
+
+    @property
+    def fan(self) -> Floats:
+        """Directions within the cone for which an echo votes."""
+        count = int(self.half_cone_rad / ANGLE_CELL_RAD)
+        return np.asarray(np.arange(-count, count + 1) * ANGLE_CELL_RAD, dtype=np.float64)
+
+    def is_in_cone(self, bearing: Floats) -> Mask:
+        """Return True (e,) for directions in the cones."""
+        off_axis = np.abs(wrap_angle(bearing - self.sensors.axis))
+        return np.asarray(off_axis < self.half_cone_rad + OFF_CONE_RAD, dtype=np.bool_)
 
     def __len__(self) -> int:
         """Return their number."""
@@ -114,7 +119,8 @@ class FreeEchoes:
     def some(self, at: Mask) -> FreeEchoes:
         """Return some of them."""
         s = self.sensors
-        return FreeEchoes(Sensors(s.face[at], s.arm[at], s.axis[at], s.range_in[at]), self.std_in[at], self.rays)
+        sensors = Sensors(s.face[at], s.arm[at], s.axis[at], s.range_in[at])
+        return replace(self, sensors=sensors, std_in=self.std_in[at])
 
 
 def find_births(estimate: MapEstimate, first_node: int) -> int:
@@ -160,10 +166,11 @@ def _free_echoes(estimate: MapEstimate, echoes: Indices) -> FreeEchoes:
     """Return unexplained echoes, without those from behind a wall of the map."""
     trajectory, state = estimate.problem.trajectory, estimate.state
     sensors = sensors_at(state.poses, state.parameters, trajectory, echoes)
-    free = FreeEchoes(sensors, trajectory.std_in[echoes], estimate.problem.rays)
+    problem = estimate.problem
+    free = FreeEchoes(sensors, trajectory.std_in[echoes], problem.rays, problem.reflection.half_cone_rad)
     along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
     spots = sensors.face + sensors.range_in[:, None] * along
-    blocked = is_blocked(sensors.face, spots, estimate.blocking)
+    blocked = is_blocked(sensors.face, spots, estimate.blocking, estimate.blocked_in)
     return free.some(~blocked)
 
 
@@ -173,7 +180,7 @@ def _free_echoes(estimate: MapEstimate, echoes: Indices) -> FreeEchoes:
 def _wall_peak(free: FreeEchoes) -> tuple[Floats, bool, int]:
     """Return the wall (2,) with the most votes, True, and their number."""
     s = free.sensors
-    fan = FAN if not free.rays else FAN * 3.0
+    fan = free.fan if not free.rays else RAY_FAN
     angles = wrap_angle(s.axis[:, None] + fan)
     c, sn = np.cos(angles), np.sin(angles)
     reach = s.range_in[:, None] * (np.cos(fan) if free.rays else 1.0)
@@ -189,7 +196,7 @@ def _wall_peak(free: FreeEchoes) -> tuple[Floats, bool, int]:
 def _point_peak(free: FreeEchoes) -> tuple[Floats, bool, int]:
     """Return the point (2,) with the most votes, False, and their number."""
     s = free.sensors
-    fan = s.axis[:, None] + (FAN if not free.rays else np.zeros(1))
+    fan = s.axis[:, None] + (free.fan if not free.rays else np.zeros(1))
     x = s.face[:, :1] + s.range_in[:, None] * np.cos(fan)
     y = s.face[:, 1:] + s.range_in[:, None] * np.sin(fan)
     low_x, low_y = float(x.min()) - POINT_CELL_IN, float(y.min()) - POINT_CELL_IN
@@ -226,7 +233,7 @@ def _fit(free: FreeEchoes, feature: Floats, is_wall: bool) -> Fit:
     sensors = free.sensors
     for step in range(FIT_STEPS + 1):
         predicted = _predict(free, feature, is_wall)
-        in_cone = np.abs(wrap_angle(predicted.bearing - sensors.axis)) < MAX_OFF_AXIS_RAD
+        in_cone = free.is_in_cone(predicted.bearing)
         if is_wall:
             # From the other side the other face of the wall is measured. Normals point away from the sonars that voted.
             in_cone &= sides_of(sensors.face, feature[None])[:, 0] == FRONT
@@ -268,7 +275,7 @@ def _decide(free: FreeEchoes, feature: Floats, is_wall: bool) -> tuple[Fit | Non
     if first.supports.sum() < MIN_VOTES:
         predicted = _predict(free, feature, is_wall)
         near = np.abs(free.sensors.range_in - predicted.range_in) < SUPPORT_IN
-        return None, is_wall, near & (np.abs(wrap_angle(predicted.bearing - free.sensors.axis)) < MAX_OFF_AXIS_RAD)
+        return None, is_wall, near & free.is_in_cone(predicted.bearing)
     if free.rays:
         is_known = first.supports.sum() >= MIN_VOTES and first.base_in >= MIN_BASE_IN
         return first if is_known else None, True, first.supports
@@ -464,6 +471,8 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
     later = begins >= node
     lines, points = state.walls.copy(), state.points.copy()
     extents, runs = trial.extents.copy(), trial.runs.copy()
+    # The levels of walls that are moved are measured anew.
+    levels = state.levels.some(~later[:walls][state.levels.wall])
     for number in np.flatnonzero(later[:walls]):
         lines[number, 0] += motion.turn
         normal = np.array((np.cos(lines[number, 0]), np.sin(lines[number, 0])))
@@ -481,7 +490,7 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
             along = np.array((-np.sin(lines[old, 0]), np.cos(lines[old, 0])))
             reached = segments[new] @ along
             extents[old] = min(extents[old, 0], reached.min()), max(extents[old, 1], reached.max())
-    trial.state = replace(state, poses=poses, walls=lines, points=points)
+    trial.state = replace(state, poses=poses, walls=lines, points=points, levels=levels)
     # A wall may have been measured from one side before and from the other now.
     old_walls = motion.pairs[motion.pairs[:, 0] < walls, 0]
     trial.sides = np.where(np.isin(np.arange(walls), old_walls), 0.0, trial.sides)
@@ -557,7 +566,9 @@ def _without(estimate: MapEstimate, remaining: Mask) -> MapEstimate:
     is_wall = (feature != NO_FEATURE) & (feature < len(remaining))
     feature = np.where(is_wall, np.append(numbers, NO_FEATURE)[np.where(is_wall, feature, -1)], NO_FEATURE)
     state = estimate.state
-    found.state = replace(state, walls=state.walls[remaining], points=state.points[:0])
+    levels = state.levels.some(remaining[state.levels.wall])
+    levels = replace(levels, wall=numbers[levels.wall])
+    found.state = replace(state, walls=state.walls[remaining], points=state.points[:0], levels=levels)
     found.assignment = Assignment(feature)
     found.extents, found.sides = estimate.extents[remaining], estimate.sides[remaining]
     rows = estimate.runs[:, 0].astype(np.intp)

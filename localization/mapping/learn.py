@@ -49,7 +49,16 @@ from localization.mapping.association import (
 )
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
-from localization.mapping.problem import NO_FEATURE, PARAMETER_STDS, ROBUST_LIMIT, MapProblem, sensors_at
+from localization.mapping.problem import (
+    NO_FEATURE,
+    PARAMETER_STDS,
+    PLANES,
+    ROBUST_LIMIT,
+    Levels,
+    MapProblem,
+    Reflection,
+    sensors_at,
+)
 from localization.mapping.walls import (
     MAX_SPAN_IN,
     MIN_CORNER_RAD,
@@ -71,6 +80,8 @@ LAST_ROUNDS: Final = 3
 LAST_STEPS: Final = 10
 ROUGHNESS_IN: Final = 0.15
 """Deviation of smooth walls from a straight line, and random motion within a node."""
+LEVEL_ROUGHNESS_IN: Final = 0.4
+"""Deviation of the surface of a real wall from its levels: where one ends within a cell, the rest is an inch off."""
 
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0
@@ -94,6 +105,8 @@ MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
 """Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
 HIDDEN_FRACTION: Final = 0.5
 """Of a wall's echoes; the false ones in the corner of a wedge had 0.9."""
+MIN_DETERMINED: Final = 2
+"""Ranges and ties that determine the two unknowns of a feature."""
 MIN_JOIN_ECHOES: Final = 4
 """Echoes that must support a wall between two points, unless no sound passes where it should."""
 JOINED_PENALTY: Final = 15.0
@@ -120,7 +133,7 @@ class MapLearner:
     rays
         True if sonars measure along exact rays.
     roughness_in
-        Standard deviation of the walls' surfaces from straight lines.
+        Standard deviation of the walls' surfaces from straight lines; None: see `reflection_of`.
     nodes_per_round
         Nodes that `advance` adds.
     scale_stds
@@ -134,14 +147,17 @@ class MapLearner:
         sonar: ConeSonar,
         *,
         rays: bool = False,
-        roughness_in: float = ROUGHNESS_IN,
+        roughness_in: float | None = None,
         nodes_per_round: int = NODES_PER_ROUND,
         scale_stds: tuple[float, ...] = (),
     ) -> None:
         self._noise, self._sonar, self._nodes_per_round = noise, sonar, nodes_per_round
+        roughness_in, reflection = reflection_of(sonar, roughness_in)
         self.trajectory = build_trajectory(log, noise, sonar, roughness_in, rays=rays)
         stds = (*scale_stds, *PARAMETER_STDS[len(scale_stds) :])
-        problem = MapProblem(self.trajectory, len(log.angles_rad), rays=rays, parameter_stds=stds)
+        problem = MapProblem(
+            self.trajectory, len(log.angles_rad), rays=rays, parameter_stds=stds, reflection=reflection
+        )
         self.estimate = MapEstimate.start(problem)
         self.turret_rad = float(log.encoders[-1, 4] - log.encoders[-1, 3])
         """Angle of the turret from the heading at the end."""
@@ -177,6 +193,19 @@ class MapLearner:
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
+        if drop_unmeasured(self.estimate):
+            tie_points(self.estimate)
+
+
+def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:
+    """Return the roughness of walls, and how they reflect.
+
+    With a given roughness walls are planes that are so rough everywhere. By default those of sonars in a building have
+    levels, and LEVEL_ROUGHNESS_IN on each; others have ROUGHNESS_IN.
+    """
+    if roughness_in is None and sonar.surface_std_in:
+        return LEVEL_ROUGHNESS_IN, Reflection.of(sonar)
+    return ROUGHNESS_IN if roughness_in is None else roughness_in, PLANES
 
 
 def revise(estimate: MapEstimate) -> int:
@@ -210,7 +239,7 @@ def update_features(estimate: MapEstimate, first_node: int) -> None:
 
 
 def learn_map(
-    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False, roughness_in: float = ROUGHNESS_IN
+    log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False, roughness_in: float | None = None
 ) -> MapEstimate:
     """Return the map of a drive; see `MapLearner` for the parameters."""
     learner = MapLearner(log, noise, sonar, rays=rays, roughness_in=roughness_in)
@@ -232,6 +261,7 @@ def prune(estimate: MapEstimate) -> int:
         penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
         penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
         penalties[:walls][_are_spans(estimate)] = 0.0
+        penalties[:walls] += estimate.surface_costs
         worst = int((losses - penalties).argmin())
         if losses[worst] >= penalties[worst]:
             break
@@ -367,10 +397,26 @@ def drop_hidden(estimate: MapEstimate) -> int:
         without = estimate.copy()
         without.remove(wall)
         others = np.array([piece.ends.reshape(4) for piece in extract_walls(without)]).reshape(-1, 4)
-        if len(echoes) and is_blocked(sensors.face, spots[:, wall], others).mean() > HIDDEN_FRACTION:
+        blocked = is_blocked(sensors.face, spots[:, wall], others, estimate.blocked_in)
+        if len(echoes) and blocked.mean() > HIDDEN_FRACTION:
             without.associate()
             estimate.replace_by(without)
             dropped += 1
+    return dropped
+
+
+def drop_unmeasured(estimate: MapEstimate) -> int:
+    """Remove features that neither ranges nor two ties determine, since all lost theirs; return their number.
+
+    They are anywhere, and with them the rigid fit of the whole map, by which the accuracy of all walls is stated.
+    """
+    dropped = 0
+    feature, ties = estimate.assignment.feature, estimate.assignment.ties
+    counts = np.bincount(feature[feature != NO_FEATURE], minlength=estimate.state.features)
+    np.add.at(counts, np.concatenate((ties[:, 0] + len(estimate.state.walls), ties[:, 1])), 1)
+    for number in reversed(np.flatnonzero(counts < MIN_DETERMINED).tolist()):
+        estimate.remove(number)
+        dropped += 1
     return dropped
 
 
@@ -491,7 +537,7 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         short = np.flatnonzero(estimate.extents[:, 1] - estimate.extents[:, 0] < SWALLOW_IN)
         is_open = (feature == NO_FEATURE) | np.isin(feature, short) | (feature >= walls)
         echoes = echoes[is_open & ~np.isin(feature, (walls + span.one, walls + span.other))]
-        alone = replace(state, walls=line[None], points=state.points[:0])
+        alone = replace(state, walls=line[None], points=state.points[:0], levels=Levels())
         residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
         feet = spots[:, 0] @ forward
         supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)

@@ -26,7 +26,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
 from localization.mapping.association import MapEstimate, align_heading, segments_of
 from localization.mapping.consistency import is_consistent
-from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, revise, update_features
+from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, reflection_of, revise, update_features
 from localization.mapping.measurements import (
     READINGS_PER_NODE,
     DriveCollector,
@@ -76,13 +76,15 @@ class LiveMapper:
     rays
         True if sonars measure along exact rays.
     roughness_in
-        Standard deviation of the walls' surfaces from straight lines.
+        Standard deviation of the walls' surfaces from straight lines; None: see `reflection_of` in learn.py.
     """
 
     def __init__(
-        self, collector: DriveCollector, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool, roughness_in: float
+        self, collector: DriveCollector, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool,
+        roughness_in: float | None,
     ) -> None:
         self._collector, self._noise, self._sonar = collector, noise, sonar
+        self._surface_in, self._reflection = reflection_of(sonar, roughness_in)
         self.rays, self._roughness_in = rays, roughness_in
         """True if sonars measure along exact rays."""
         self.estimate: MapEstimate | None = None
@@ -159,7 +161,7 @@ class LiveMapper:
         first_group = int(self._groups[first]) if len(self._groups) else 0
         log = self._collector.log(first_group * READINGS_PER_NODE)
         trajectory = build_trajectory(
-            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self.rays
+            log, self._noise, self._sonar, self._surface_in, self._steps, rays=self.rays
         )
         groups = trajectory.group + first_group
         old, old_groups = self._poses[first:], self._groups[first:]
@@ -168,7 +170,9 @@ class LiveMapper:
         # 2. The map without its echoes.
         full = self.estimate
         state = MapProblem(trajectory, len(log.angles_rad)).initial() if full is None else full.state
-        problem = MapProblem(trajectory, len(log.angles_rad), rays=self.rays, has_fixed_map=True)
+        problem = MapProblem(
+            trajectory, len(log.angles_rad), rays=self.rays, has_fixed_map=True, reflection=self._reflection
+        )
         nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
         window = MapEstimate(problem, replace(state, poses=poses), nothing)
         if full is not None:
@@ -196,9 +200,9 @@ class LiveMapper:
         """Solve the whole map, from the poses so far."""
         log = self._collector.log()
         trajectory = build_trajectory(
-            log, self._noise, self._sonar, self._roughness_in, self._steps, rays=self.rays
+            log, self._noise, self._sonar, self._surface_in, self._steps, rays=self.rays
         )
-        problem = MapProblem(trajectory, len(log.angles_rad), rays=self.rays)
+        problem = MapProblem(trajectory, len(log.angles_rad), rays=self.rays, reflection=self._reflection)
         before = self.estimate or MapEstimate.start(problem)
         # 1. The echoes of the nodes that both have keep their features.
         feature = np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp)
@@ -217,7 +221,7 @@ class LiveMapper:
             if candidates and candidates[0].misfit < MAX_MISFIT:
                 break
             state = replace(before.state, poses=poses if len(poses) else np.zeros((1, POSE)))
-            assignment = replace(before.assignment, feature=feature)
+            assignment = Assignment(feature, before.assignment.ties)
             candidate = MapEstimate(problem, state, assignment, before.extents, before.runs, before.sides)
             candidate.extend(len(trajectory))
             if candidates:

@@ -45,15 +45,19 @@ from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
 from localization.mapping.survey import SurveyStep
 from localization.mapping.walls import (
     MAX_STD_IN,
+    SAME_CORNER_IN,
+    Outline,
     Piece,
     axes_rad,
     extract_walls,
     final_pose,
+    find_outlines,
     parameter_covariance,
     passed_walls,
+    surface_lines,
 )
 from nclient.errors import NomadError
-from worlds.geometry import lengths, nearest_points
+from worlds.geometry import lengths, nearest_points, polygon_segments
 from worlds.robots import Calibration, Spread
 from worlds.world import Polygon, StartPose, World
 
@@ -73,6 +77,8 @@ POST_IN: Final = 1.0
 POST_SPACE_IN: Final = 6.0
 """A point nearer to a wall or a post is an end or a corner of it; one nearer to the path is a mistake, as the robot's
 radius is larger."""
+MAX_SURFACE_STDS: Final = 0.5
+"""Highest standard deviation of a wall with a surface that is written, in standard deviations of its levels."""
 MARGIN_IN: Final = 15.0
 """Around the walls in the picture."""
 
@@ -144,11 +150,15 @@ class LearnedMap:
     """Places (n, 2) beyond which the room goes on; None if they were not looked for."""
     uncertain: tuple[Piece, ...] = ()
     """Walls whose standard deviation is too high (`highest_std_in`): they are not written."""
+    outlines: tuple[Outline, ...] = ()
+    """Closed outlines of boxes, of walls that are written and of their corners: obstacles of the world."""
 
     @property
     def posts(self) -> Floats:
         """Points (n, 2) that stand alone: neither at a wall nor at one another, nor where the robot was."""
         walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        boxes = [polygon_segments(outline.corners) for outline in self.outlines]
+        walls = np.concatenate((walls, *boxes))
         path = np.concatenate((self.path[:-1, :2], self.path[1:, :2]), axis=1)
         found: list[Floats] = []
         for point in self.points:
@@ -176,12 +186,13 @@ class LearnedMap:
 
     @property
     def open_ends(self) -> list[tuple[float, float]]:
-        """Ends of walls without a corner, inches."""
+        """Ends of walls without a corner, inches; the sides of a box have corners."""
+        corners = np.array([outline.corners for outline in self.outlines]).reshape(-1, 2)
         return [
             (float(x), float(y))
             for wall in self.walls
             for (x, y), is_closed in zip(wall.ends, wall.closed, strict=True)
-            if not is_closed
+            if not is_closed and not (np.hypot(*(corners - (x, y)).T) <= SAME_CORNER_IN).any()
         ]
 
     def reason_to_refuse(self) -> str:
@@ -256,18 +267,21 @@ class LearnedMap:
         return ""
 
     def world(self, name: str) -> World:
-        """Return the map as a world."""
-        walls = np.array([wall.ends.reshape(4) for wall in self.walls]).reshape(-1, 4)
+        """Return the map as a world, with an obstacle for each outline instead of its walls."""
+        of_boxes = {row for outline in self.outlines for row in outline.walls}
+        others = [wall for row, wall in enumerate(self.walls) if row not in of_boxes]
+        walls = np.array([wall.ends.reshape(4) for wall in others]).reshape(-1, 4)
         x, y, heading = self.pose.tolist()
         start = StartPose(round(x, 3), round(y, 3), round(heading, 4), round(wrap_angle(heading + self.turret_rad), 4))
-        accuracies = {row: wall.accuracy for row, wall in enumerate(self.walls)}
+        accuracies = {row: wall.accuracy for row, wall in enumerate(others)}
         square = 0.5 * POST_IN * np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
-        posts = tuple(
-            Polygon(tuple((round(x, 3), round(y, 3)) for x, y in (square + post).tolist()), f"post {number}")
-            for number, post in enumerate(self.posts, start=1)
+        solids = [(f"box {number}", outline.corners) for number, outline in enumerate(self.outlines, start=1)]
+        solids += [(f"post {number}", square + post) for number, post in enumerate(self.posts, start=1)]
+        obstacles = tuple(
+            Polygon(tuple((round(x, 3), round(y, 3)) for x, y in corners.tolist()), solid) for solid, corners in solids
         )
         walls = np.round(walls, DECIMALS) + 0.0
-        return World(name, inner_walls=walls, obstacles=posts, starts=(start,), accuracies=accuracies)
+        return World(name, inner_walls=walls, obstacles=obstacles, starts=(start,), accuracies=accuracies)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain data: inches, and units in the keys; the heading of `pose` is in radians."""
@@ -286,6 +300,7 @@ class LearnedMap:
             ],
             "points_in": self.points.tolist(),
             "posts_in": self.posts.tolist(),
+            "outlines_in": [outline.corners.tolist() for outline in self.outlines],
             "uncertain_in": [
                 {"ends_in": wall.ends.tolist(), "offset_std_in": wall.std_in} for wall in self.uncertain
             ],
@@ -321,7 +336,7 @@ def describe(
     """
     walls = extract_walls(estimate)
     # 1. The frame: the origin stays, the axes turn to the longest walls.
-    turn = axes_rad(walls, estimate.state.walls)
+    turn = axes_rad(walls, surface_lines(estimate)[0])
     pose = final_pose(estimate)
     path = np.concatenate((estimate.state.poses[:-1], pose[None]))
     path[:, :2] = rotate(path[:, :2], np.full(len(path), -turn))
@@ -333,11 +348,18 @@ def describe(
         unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
     # 2. Walls that are known well enough.
     highest = highest_std_in(estimate)
+    is_known = [wall.std_in <= highest for wall in turned]
     known = tuple(wall for wall in turned if wall.std_in <= highest)
+    # 3. Boxes of which all walls are.
+    numbers = np.cumsum(is_known) - 1
+    outlines = tuple(
+        Outline(rotate(outline.corners, np.full(4, -turn)), tuple(int(numbers[row]) for row in outline.walls))
+        for outline in find_outlines(estimate, walls) if all(is_known[row] for row in outline.walls)
+    )  # fmt: skip
     uncertain = tuple(wall for wall in turned if wall.std_in > highest)
     return LearnedMap(
         known, points, path, calibration_of(estimate), quality_of(estimate, walls).turned(-turn), turret_rad, rest,
-        unexplored, uncertain,
+        unexplored, uncertain, outlines,
     )  # fmt: skip
 
 
@@ -345,7 +367,8 @@ def highest_std_in(estimate: MapEstimate) -> float:
     """Return the highest standard deviation of a wall that is written: that of a smooth one, and of its surface."""
     trajectory = estimate.problem.trajectory
     rough = trajectory.other_var_in2 - trajectory.step_in**2 / 12.0
-    return float(np.sqrt(MAX_STD_IN**2 + rough.mean()))
+    of_plane = float(np.sqrt(MAX_STD_IN**2 + rough.mean()))
+    return max(of_plane, MAX_SURFACE_STDS * estimate.problem.reflection.surface_std_in)
 
 
 def quality_of(estimate: MapEstimate, walls: Sequence[Piece]) -> Quality:
@@ -406,6 +429,8 @@ def draw_learned(path: Path, found: LearnedMap, estimate: MapEstimate) -> None:
     # 2. The map and the path.
     axes.plot(*found.path[:, :2].T, color=ODOMETRY, linewidth=1.0, label="path")
     draw_walls(axes, [wall.ends.reshape(4) for wall in found.walls])
+    for outline in found.outlines:
+        axes.fill(*outline.corners.T, facecolor=FAINT, edgecolor=TRUTH, linewidth=1.5)
     for wall in found.uncertain:
         axes.plot(*wall.ends.T, color=TRUTH, linewidth=1.5, linestyle="--")
     axes.plot(*found.points.T, marker="s", markersize=4, color=GOAL, linestyle="", label="points")
@@ -434,6 +459,9 @@ def summary(found: LearnedMap) -> str:
         f"{len(found.walls)} walls from {length:.0f} in of driving; {found.quality.explained:.0%} of the ranges "
         f"explained, chi-square {found.quality.chi_square:.2f} (1 is right)"
     )
+    lines += [
+        "closed outline: " + ", ".join(f"({x:.1f}, {y:.1f})" for x, y in outline.corners) for outline in found.outlines
+    ]
     if found.unexplored is not None:
         lines += [f"not explored beyond ({x:.0f}, {y:.0f})" for x, y in found.unexplored]
     lines += [

@@ -4,12 +4,18 @@
     walls        angle, offset           normal n = (cos, sin)(angle), the points p with n . p = offset
     points       x, y                    corners, posts, ends of walls
     parameters   distance scale, turn scale, drift; range offset of all sonars; own offset of each sonar
+    levels       b_c, by how much a wall stands out towards its normal in a cell c along it, of walls with a surface
 
     odometry     (pose_k+1 relative to pose_k) - step - d step / d parameters . parameters      3 per step
-    range        reading - offsets - |n . s - offset|  or  - |point - s|                        1 per echo
+    range        reading - offsets - |n . s - offset - level|  or  - |point - s|                1 per echo
     bearing      direction of the reflector - axis of the cone, a weak bound of the heading     1 per echo
     tie          n . point - offset, of a corner on a wall                                      1 per tie
+    surface      level - exp(-d / length) (level of the cell before, d inches before)           1 per level
     prior        parameters, and the first pose, which fixes the frame
+
+Levels have standard deviation std and correlation exp(-d / length), as in `localization/filters/surface.py`: given the
+cell before, that of the next one is independent of all others (a Markov chain), and its variance is
+std^2 (1 - exp(-2 d / length)).
 
 Ranges have outliers: their squares are replaced by the Geman-McClure function c^2 r^2 / (c^2 + r^2), solved by
 iteratively reweighted least squares. An echo that no reflector explains costs c^2.
@@ -18,26 +24,31 @@ References
 ----------
 Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): walls and corners as a cone measures
 them. Dellaert, Kaess, Square Root SAM (2006): mapping as least squares over the trajectory. Barron, A General and
-Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2.
+Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2. Papoulis, Probability, Random Variables, and Stochastic
+Processes (1991), section 10.1: exponential correlation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import radians
-from typing import Final
+from math import hypot, radians
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
-from localization.filters.sonar_cone import range_jacobian, to_vertex, to_wall
+from localization.filters.sonar_cone import ConeSonar, range_jacobian, to_vertex, to_wall
 from localization.filters.sonar_ray import intersect_line
 from localization.mapping.measurements import Indices, Trajectory, rotate
 from localization.mapping.solver import NormalEquations
 
 NO_FEATURE: Final = -1
 """Feature of an echo that nothing explains."""
+NO_LEVEL: Final = -1
+"""Level of an echo that is of no wall, or of a plane."""
+LEVEL_CELL_IN: Final = 4.0
+"""Length of a wall that has one level: a sixth of the mean length of a level, so that few cells have two of them."""
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""
@@ -68,14 +79,100 @@ MIN_GAIN: Final = 0.05
 """A step that lowers the cost by less changes no decision: a likelihood ratio of 1.03."""
 
 
+class Reflection(NamedTuple):
+    """How walls reflect.
+
+    Attributes
+    ----------
+    half_cone_rad
+        Half angle of a cone.
+    surface_std_in, surface_length_in
+        Standard deviation and correlation length of the levels of walls; a standard deviation of 0: planes.
+    """
+
+    half_cone_rad: float = HALF_CONE_RAD
+    surface_std_in: float = 0.0
+    surface_length_in: float = 24.0
+
+    @classmethod
+    def of(cls, sonar: ConeSonar) -> Reflection:
+        """Return how walls reflect to some sonars."""
+        return cls(0.5 * sonar.cone_rad, sonar.surface_std_in, sonar.surface_length_in)
+
+    def correlation(self, distance_in: Floats) -> Floats:
+        """Return the correlation of levels so far apart along a wall."""
+        return np.asarray(np.exp(-distance_in / self.surface_length_in), dtype=np.float64)
+
+
+PLANES: Final = Reflection()
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """The surfaces of walls, in cells of LEVEL_CELL_IN along them.
+
+    Attributes
+    ----------
+    wall, cell
+        (l,) wall and cell of each level, in increasing order: coordinates along the wall from cell times LEVEL_CELL_IN.
+    value_in
+        (l,) the levels, towards the normal of the wall.
+    var_in2
+        (l,) their variances, given the levels before them, for the gate of echoes.
+    """
+
+    wall: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    cell: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    value_in: Floats = field(default_factory=lambda: np.empty(0))
+    var_in2: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.wall)
+
+    def some(self, at: npt.NDArray[np.bool_]) -> Levels:
+        """Return some of them (l,)."""
+        return Levels(self.wall[at], self.cell[at], self.value_in[at], self.var_in2[at])
+
+    def of(self, wall: int) -> slice:
+        """Return the rows of a wall."""
+        first, end = np.searchsorted(self.wall, (wall, wall + 1))
+        return slice(int(first), int(end))
+
+    def nearest(self, walls: Indices, feet: Floats) -> tuple[Indices, Floats]:
+        """Return the rows of the cells nearest to coordinates along walls (...), and how far away those are.
+
+        The row is NO_LEVEL for a wall that has none.
+        """
+        cells = np.floor(feet / LEVEL_CELL_IN).astype(np.intp)
+        if not len(self):
+            return np.full(cells.shape, NO_LEVEL, dtype=np.intp), np.zeros(cells.shape)
+        # 1. The last cell of the wall that does not begin after it, and its neighbour.
+        reach = int(np.abs(self.cell).max()) + 1
+        span = 2 * reach + 1
+        keys = self.wall * span + self.cell + reach
+        rows = np.searchsorted(keys, walls * span + np.clip(cells, -reach, reach) + reach, side="right") - 1
+        pair = np.stack((np.maximum(rows, 0), np.minimum(rows + 1, len(self) - 1)))
+        # 2. The nearer one of both that is of the wall.
+        low = self.cell[pair] * LEVEL_CELL_IN
+        away = np.maximum(np.maximum(low - feet, feet - low - LEVEL_CELL_IN), 0.0)
+        away = np.where(self.wall[pair] == walls, away, np.inf)
+        nearer = away.argmin(axis=0)
+        row = np.take_along_axis(pair, nearer[None], axis=0)[0]
+        distance = np.take_along_axis(away, nearer[None], axis=0)[0]
+        is_known = np.isfinite(distance)
+        return np.where(is_known, row, NO_LEVEL), np.where(is_known, distance, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class MapState:
-    """All unknowns: poses (n, 3), walls (w, 2), points (v, 2), parameters (4 + sonars,)."""
+    """All unknowns: poses (n, 3), walls (w, 2), points (v, 2), parameters (4 + sonars,), and levels of walls."""
 
     poses: Floats
     walls: Floats
     points: Floats
     parameters: Floats
+    levels: Levels = field(default_factory=Levels)
 
     @property
     def features(self) -> int:
@@ -87,11 +184,13 @@ class MapState:
         if not len(border):
             return replace(self, poses=self.poses + poses)
         walls, points = self.walls.size, self.points.size
+        first = walls + points + len(self.parameters)
         return MapState(
             self.poses + poses,
             self.walls + border[:walls].reshape(-1, WALL),
             self.points + border[walls : walls + points].reshape(-1, POINT),
-            self.parameters + border[walls + points :],
+            self.parameters + border[walls + points : first],
+            replace(self.levels, value_in=self.levels.value_in + border[first:]) if len(self.levels) else self.levels,
         )
 
 
@@ -105,10 +204,13 @@ class Assignment:
         (e,) number of the feature, NO_FEATURE for none.
     ties
         (k, 2) pairs of a point and a wall that it lies on.
+    level
+        (e,) row of the level at which each echo was reflected, NO_LEVEL for none; (0,) if walls are planes.
     """
 
     feature: Indices
     ties: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.intp))
+    level: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +246,7 @@ class LinearEchoes:
 
     `residuals` (e, 2) are in standard deviations, `weighted` times the root of the weight (the robust one, and that of
     the reading), as the derivatives by the poses `by_pose` (e, 2, 3) of the nodes `node` (e,), and by the unknowns `at`
-    (e, 4) of the border, `by_border` (e, 2, 4).
+    (e, 4) of the border, `by_border` (e, 2, 4); (e, 5) and (e, 2, 5) where walls have levels.
     """
 
     echoes: Indices
@@ -243,13 +345,18 @@ class MapProblem:
         True if only the poses are unknown: localization in a map that stays as it is.
     parameter_stds
         (4,) prior standard deviations of the parameters without the own offsets of the sonars.
+    reflection
+        How walls reflect.
     """
 
     def __init__(
         self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True,
         has_fixed_map: bool = False, parameter_stds: tuple[float, ...] = PARAMETER_STDS,
+        reflection: Reflection = PLANES,
     ) -> None:  # fmt: skip
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
+        self.reflection = reflection
+        self._wall_bearing_std_rad = WALL_BEARING_STD_RAD * (reflection.half_cone_rad / HALF_CONE_RAD)
         self._stds, self._parameters = parameter_stds, len(parameter_stds) + sonars
         own = np.r_[np.zeros(len(parameter_stds)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
         self.prior: Floats = np.vstack((np.diag(1.0 / np.r_[parameter_stds, np.full(sonars, OWN_OFFSET_STD_IN)]), own))
@@ -261,14 +368,14 @@ class MapProblem:
         """The same problem by plain least squares, without robust weights."""
         return MapProblem(
             self.trajectory, self._parameters - len(self._stds), rays=self.rays, robust=False,
-            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds,
+            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds, reflection=self.reflection,
         )  # fmt: skip
 
     def with_trajectory(self, trajectory: Trajectory) -> MapProblem:
         """Return the same problem with other measurements."""
         return MapProblem(
             trajectory, self._parameters - len(self._stds), rays=self.rays, robust=self.robust,
-            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds,
+            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds, reflection=self.reflection,
         )  # fmt: skip
 
     def initial(self) -> MapState:
@@ -303,6 +410,10 @@ class MapProblem:
         sensors = sensors_at(state.poses, state.parameters, self.trajectory, echoes)
         number, walls = assignment.feature[echoes], len(state.walls)
         both = np.concatenate((state.walls, state.points))[number]
+        if len(state.levels) and len(assignment.level):
+            # A wall that stands out is one at another offset.
+            level = assignment.level[echoes]
+            both[:, 1] += np.where(level != NO_LEVEL, state.levels.value_in[level], 0.0)
         wall, point = predict_wall(sensors, both, self.rays), predict_point(sensors, both)
         is_wall = number < walls
         chosen = [
@@ -318,9 +429,10 @@ class MapProblem:
         sensors, prediction = self.predict(state, assignment, echoes)
         ranges = (sensors.range_in - prediction.range_in) / self.trajectory.std_in[echoes]
         off_axis = wrap_angle(prediction.bearing - sensors.axis)
-        beyond = off_axis - np.clip(off_axis, -HALF_CONE_RAD, HALF_CONE_RAD)
+        half_cone_rad = self.reflection.half_cone_rad
+        beyond = off_axis - np.clip(off_axis, -half_cone_rad, half_cone_rad)
         is_whole = self._has_whole_bearing(state, assignment, echoes)
-        bearings = np.where(is_whole, off_axis / WALL_BEARING_STD_RAD, beyond / POINT_BEARING_STD_RAD)
+        bearings = np.where(is_whole, off_axis / self._wall_bearing_std_rad, beyond / POINT_BEARING_STD_RAD)
         return echoes, np.stack((ranges, bearings), axis=-1), prediction
 
     def _has_whole_bearing(self, state: MapState, assignment: Assignment, echoes: Indices) -> npt.NDArray[np.bool_]:
@@ -332,8 +444,46 @@ class MapProblem:
         points, walls = state.points[assignment.ties[:, 0]], state.walls[assignment.ties[:, 1]]
         residual: Floats = (
             points[:, 0] * np.cos(walls[:, 0]) + points[:, 1] * np.sin(walls[:, 0]) - walls[:, 1]
-        ) / TIE_STD_IN
+        ) / self._tie_stds(state, assignment)
         return residual
+
+    def _tie_stds(self, state: MapState, assignment: Assignment) -> Floats:
+        """Return the standard deviations (k,) of ties: a corner is anywhere on a surface with levels."""
+        has_levels = np.isin(assignment.ties[:, 1], state.levels.wall)
+        stds: Floats = np.where(has_levels, hypot(TIE_STD_IN, self.reflection.surface_std_in), TIE_STD_IN)
+        return stds
+
+    def level_residuals(self, levels: Levels) -> tuple[Floats, Floats, Floats]:
+        """Return the residuals (l,) of the surface, and their derivatives by each level and by the one before."""
+        is_next = np.zeros(len(levels), dtype=np.bool_)
+        is_next[1:] = levels.wall[1:] == levels.wall[:-1]
+        before_in = LEVEL_CELL_IN * np.diff(levels.cell, prepend=0)
+        a = np.where(is_next, self.reflection.correlation(before_in), 0.0)
+        scale = 1.0 / (self.reflection.surface_std_in * np.sqrt(1.0 - a * a))
+        residual = scale * (levels.value_in - a * np.concatenate(([0.0], levels.value_in[:-1])))
+        return residual, scale, -a * scale
+
+    def level_penalties(self, levels: Levels, assignment: Assignment) -> Floats:
+        """Return the cost (l,) of the choice of each level: twice the logarithm of how much its echoes narrow it.
+
+        With n echoes of variance R and the prior variance v, given the level before, that is ln(1 + n v / R). Without
+        it a wall with many levels would explain any echoes near it.
+
+        References
+        ----------
+        MacKay, Information Theory, Inference, and Learning Algorithms (2003), section 28.1: the Occam factor.
+        """
+        if not len(levels):
+            return np.zeros(0)
+        return np.log1p(self.level_information(levels, assignment) / np.square(self.level_residuals(levels)[1]))
+
+    def level_information(self, levels: Levels, assignment: Assignment) -> Floats:
+        """Return the sum (l,) of the inverse variances of the echoes of each level."""
+        information: Floats = np.zeros(len(levels))
+        if len(assignment.level):
+            has_level = assignment.level != NO_LEVEL
+            np.add.at(information, assignment.level[has_level], 1.0 / np.square(self.trajectory.std_in[has_level]))
+        return information
 
     def angle_residuals(self, state: MapState, assignment: Assignment) -> tuple[Floats, Floats]:
         """Return the residuals (w,) of walls from the building's axes, and derivatives (w, w); none if plain.
@@ -370,6 +520,7 @@ class MapProblem:
             + np.square(self.tie_residuals(state, assignment)).sum()
             + robust_cost(self.angle_residuals(state, assignment)[0]).sum()
             + np.square(self.prior @ state.parameters).sum()
+            + (np.square(self.level_residuals(state.levels)[0]).sum() if len(state.levels) else 0.0)
         )
 
     def residual_vector(self, state: MapState, assignment: Assignment) -> Floats:
@@ -380,6 +531,7 @@ class MapProblem:
             self.tie_residuals(state, assignment),
             self.angle_residuals(state, assignment)[0],
             self.prior @ state.parameters,
+            *((self.level_residuals(state.levels)[0],) if len(state.levels) else ()),
         )
         return np.concatenate([part.reshape(-1) for part in parts])
 
@@ -389,7 +541,8 @@ class MapProblem:
         """Return J' W J and -J' W r at a state."""
         count, walls, points = len(state.poses), state.walls.size, state.points.size
         first = walls + points
-        size = first + len(state.parameters)
+        parameters = slice(first, first + len(state.parameters))
+        size = parameters.stop + len(state.levels)
         T, U = np.zeros((count, POSE, POSE)), np.zeros((count - 1, POSE, POSE))
         C, D = np.zeros((count, POSE, size)), np.zeros((size, size))
         g, h = np.zeros((count, POSE)), np.zeros(size)
@@ -409,11 +562,12 @@ class MapProblem:
         # 2. Echoes: a pose, a feature, the offset of all sonars and that of one.
         self._add_echoes(state, assignment, NormalEquations(T, U, C, D, g, h))
         # 3. Ties, of a point and a wall.
-        for (point, wall), residual in zip(assignment.ties, self.tie_residuals(state, assignment), strict=True):
+        residuals, stds = self.tie_residuals(state, assignment), self._tie_stds(state, assignment)
+        for (point, wall), residual, std in zip(assignment.ties, residuals, stds, strict=True):
             (x, y), (angle, _) = state.points[point], state.walls[wall]
             c, s = np.cos(angle), np.sin(angle)
             at = [WALL * wall, WALL * wall + 1, walls + POINT * point, walls + POINT * point + 1]
-            J = np.array((y * c - x * s, -1.0, c, s)) / TIE_STD_IN
+            J = np.array((y * c - x * s, -1.0, c, s)) / std
             D[np.ix_(at, at)] += np.outer(J, J)
             h[at] -= J * residual
         # 4. Right angles.
@@ -423,8 +577,10 @@ class MapProblem:
         D[angles, angles] += J.T @ (weight[:, None] * J)
         h[angles] -= J.T @ (weight * r)
         # 5. Priors. Features without echoes would make the border singular.
-        D[first:, first:] += self._prior_information
-        h[first:] -= self._prior_information @ state.parameters
+        D[parameters, parameters] += self._prior_information
+        h[parameters] -= self._prior_information @ state.parameters
+        if len(state.levels):
+            self._add_levels(state, NormalEquations(T, U, C, D, g, h))
         D[range(first), range(first)] += 1e-9
         T[0] += _FRAME_INFORMATION * np.eye(POSE)
         if self.has_fixed_map:
@@ -443,7 +599,7 @@ class MapProblem:
         by_range = scale / std
         by_bearing = np.where(residuals[:, 1] == 0.0, 0.0, 1.0 / POINT_BEARING_STD_RAD)
         is_whole = self._has_whole_bearing(state, assignment, echoes)
-        by_bearing = np.where(is_whole, 1.0 / WALL_BEARING_STD_RAD, by_bearing)
+        by_bearing = np.where(is_whole, 1.0 / self._wall_bearing_std_rad, by_bearing)
         by_pose = np.stack(
             (-prediction.by_pose * by_range[:, None], prediction.bearing_by_pose * by_bearing[:, None]), axis=1
         )
@@ -458,10 +614,27 @@ class MapProblem:
         column = WALL * assignment.feature[echoes]
         own = first + 1 + self.trajectory.sonar[echoes]
         at = np.stack((column, column + 1, np.full(len(echoes), first), own), axis=-1)
-        return LinearEchoes(
-            echoes, residuals, weighted, self.trajectory.node[echoes], by_pose,
-            np.concatenate((by_feature, offsets), axis=-1), at,
-        )  # fmt: skip
+        by_border = np.concatenate((by_feature, offsets), axis=-1)
+        if len(state.levels) and len(assignment.level):
+            # 3. The level, which is added to the offset of the wall.
+            level = assignment.level[echoes]
+            by_level = np.where((level != NO_LEVEL)[:, None], by_feature[:, :, 1], 0.0)
+            by_border = np.concatenate((by_border, by_level[..., None]), axis=-1)
+            last = state.walls.size + state.points.size + len(state.parameters)
+            at = np.concatenate((at, (last + np.maximum(level, 0))[:, None]), axis=-1)
+        return LinearEchoes(echoes, residuals, weighted, self.trajectory.node[echoes], by_pose, by_border, at)
+
+    def _add_levels(self, state: MapState, N: NormalEquations) -> None:
+        """Add the prior of the levels, in place: the end of the border."""
+        residual, by_own, by_before = self.level_residuals(state.levels)
+        own = np.arange(len(N.border) - len(residual), len(N.border))
+        before = own[:-1]
+        N.border[own, own] += by_own**2
+        N.border[before, before] += by_before[1:] ** 2
+        N.border[own[1:], before] += (by_own * by_before)[1:]
+        N.border[before, own[1:]] += (by_own * by_before)[1:]
+        N.border_gradient[own] -= by_own * residual
+        N.border_gradient[before] -= (by_before * residual)[1:]
 
     def _add_echoes(self, state: MapState, assignment: Assignment, N: NormalEquations) -> None:
         """Add range and bearing of all explained echoes, in place."""

@@ -25,7 +25,15 @@ from localization.mapping.association import MapEstimate, Mask
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.output import MapRefused, describe
 from localization.mapping.problem import robust_weight
-from localization.mapping.walls import MIN_CORNER_RAD, SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths
+from localization.mapping.walls import (
+    MIN_CORNER_RAD,
+    SMALL_GAP_IN,
+    Piece,
+    crossed_at,
+    extract_walls,
+    free_paths,
+    surface_lines,
+)
 from worlds.geometry import lengths, nearest_points
 from worlds.world import StartPose, WallAccuracy, World
 
@@ -216,7 +224,7 @@ def compare(world: World, estimate: MapEstimate, start: Floats, rest: Floats, tu
 
 def _measured(estimate: MapEstimate, piece: Piece) -> Floats:
     """Return the outermost reflecting spots (2, 2) of a wall."""
-    angle, offset = estimate.state.walls[piece.line]
+    angle, offset = surface_lines(estimate)[0][piece.line]
     normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
     return np.array((offset * normal + piece.low * along, offset * normal + piece.high * along))
 

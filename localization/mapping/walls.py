@@ -4,6 +4,7 @@
     2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
     3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end
     4. accuracy   covariance of the walls after the best rigid fit, since the frame of a map is free
+    5. outlines   sides and corners of boxes that lead around a place that no path has crossed
 
 References
 ----------
@@ -12,7 +13,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
@@ -32,7 +33,7 @@ from localization.mapping.association import (
 )
 from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
-from localization.mapping.problem import NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
+from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
 from worlds.world import WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
@@ -70,8 +71,22 @@ FACING_MARGIN: Final = 0.25
 """The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
 RECESS_IN: Final = 1.5
 """So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
-CLEAR_OF_ENDS_RAD: Final = radians(13.0)
-"""A point farther off the axis than this, half of a cone, reflects nothing."""
+CLEAR_OF_ENDS_RAD: Final = radians(0.5)
+"""A point farther off the axis than half of a cone and this reflects nothing."""
+MAX_BOX_IN: Final = 40.0
+"""Longest side of a box: a longer wall is one of a room, or of a part of it that was not entered."""
+SAME_CORNER_IN: Final = 2.5
+"""Ends of walls and points nearer than this are one corner of a box."""
+MAX_SKEW_IN: Final = 4.0
+"""Distance of the fourth corner of a box from where a parallelogram has it."""
+MIN_SIDES: Final = 3
+"""Sides of a box that are walls or silent, so that its corners are known; the fourth may be neither. Fewer do if all
+corners are points, and sonars that were directed between them, MIN_STOPPED to all sides together, measured nothing."""
+SAME_START_IN, SAME_END_IN = 12.0, 6.0
+"""Paths of sound that begin and end nearer together are one: of a slanted wall a sonar receives what comes over
+other walls, again and again from one place, and its range may fit a corner far behind."""
+OUTSIDE: Final = 0.9
+"""Least fraction of the sonars that measured a side of a box which were outside."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MIN_CORNER_RAD: Final = radians(20.0)
@@ -120,6 +135,14 @@ class Piece:
         return self.high - self.low
 
     @property
+    def measured_ends(self) -> Floats:
+        """The outermost reflecting spots (2, 2): coordinates along the line are the same in a turned frame."""
+        along = (self.ends[1] - self.ends[0]) / self.length_in
+        coordinates = np.array((self.low, self.high))
+        spots: Floats = self.ends[0] + (coordinates - self.ends[0] @ along)[:, None] * along
+        return spots
+
+    @property
     def accuracy(self) -> WallAccuracy:
         """Accuracy as a world file states it, above 0: after their rigid fit two walls alone have exact offsets."""
         return WallAccuracy(max(round(self.std_in, 4), MIN_STD_IN), round(self.std_rad, 5), round(self.measured_in, 2))
@@ -128,6 +151,22 @@ class Piece:
     def length_in(self) -> float:
         """Length between the ends, inches."""
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """The closed outline of a box.
+
+    Attributes
+    ----------
+    corners
+        (4, 2) in order, inches.
+    walls
+        Numbers of the walls along its sides; a side that is closed by its corners alone has none.
+    """
+
+    corners: Floats
+    walls: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +198,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     # 1. Lines, and the paths that have crossed them.
     starts, ends = free_paths(estimate)
     lines = []
-    for angle, offset in estimate.state.walls:
+    for angle, offset in surface_lines(estimate)[0]:
         normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
         lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
     # 2. Pieces.
@@ -175,7 +214,7 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
         )
     ]  # fmt: skip
     # 3. Ends.
-    pieces = _with_ends(pieces, lines, points)
+    pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
     _add_accuracy(estimate, pieces, lines)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
@@ -198,7 +237,7 @@ def _reflected_paths(estimate: MapEstimate, among: Mask) -> tuple[Floats, Floats
     # The last inches before a reflecting spot may belong to another wall of the same corner.
     span = spot - face
     length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)[:, None]
-    return face, face + span * np.maximum(length - BLOCKED_IN, 0.0) / length, feature[fits]
+    return face, face + span * np.maximum(length - estimate.blocked_in, 0.0) / length, feature[fits]
 
 
 def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
@@ -281,6 +320,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
     axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
     segments = estimate.blocking
+    clear_rad = estimate.problem.reflection.half_cone_rad + CLEAR_OF_ENDS_RAD
     for number in np.flatnonzero(is_uncrossed):
         normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
         cosine = axis @ normal
@@ -294,11 +334,11 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
         directed &= (fraction > SPAN_MARGIN) & (fraction < 1.0 - SPAN_MARGIN)
         for x, y in ends[number].reshape(2, 2):
             bearing = np.arctan2(y - sensors.face[:, 1], x - sensors.face[:, 0])
-            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > CLEAR_OF_ENDS_RAD
+            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > clear_rad
         # What ends well before is measured off something else.
         directed &= sensors.range_in > np.abs(reach * cosine) - 1.0
         rows = np.flatnonzero(directed)
-        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments)]
+        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments, estimate.blocked_in)]
         gap = float(np.diff(np.sort([0.0, 1.0, *fraction[rows]])).max()) * lengths[ones[number], others[number]]
         found.append(
             Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap, bool(closes[number]))
@@ -385,15 +425,46 @@ def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offs
 
 
 def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
-    """Return the coordinates of the spots on a wall, without those that a point explains as well."""
+    """Return the coordinates along the fitted line of the spots on a wall, without those that a point explains."""
     state, echoes = estimate.state, estimate.echoes_of(wall)
     residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     walls = len(state.walls)
     own = np.abs(residual[:, wall])
     by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
     clear = (own < ROBUST_LIMIT) & ~(by_point < 1.5)
-    angle = state.walls[wall, 0]
+    angle = surface_lines(estimate)[0][wall, 0]
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
+
+
+def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
+    """Return the straight lines (w, 2) that fit the surfaces of walls best, and their derivatives (w, 2, 2 + l).
+
+    A wall whose levels are f_0 + k t at the coordinate t, in the mean square over its cells, is the line
+
+        angle' = angle - atan k,   offset' = (offset + f_0) cos(atan k)
+
+    of a plane the line itself. The derivatives are those by the wall's own angle and offset, and by all l levels.
+    """
+    walls, levels = estimate.state.walls, estimate.state.levels
+    lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
+    by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
+    for number, (angle, offset) in enumerate(walls):
+        own = levels.of(number)
+        t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+        if not len(t):
+            continue
+        # 1. f_0 and k are linear in the levels; a single cell has no slope.
+        fit = np.linalg.pinv(np.stack((np.ones_like(t), t), axis=-1)) if len(t) > 1 else np.array(((1.0,), (0.0,)))
+        f_0, k = fit @ levels.value_in[own]
+        turn = -np.arctan(k)
+        lines[number] = angle + turn, (offset + f_0) * np.cos(turn)
+        # 2. Derivatives.
+        by_k = -1.0 / (1.0 + k * k)
+        columns = slice(WALL + own.start, WALL + own.stop)
+        by_unknowns[number, 0, columns] = by_k * fit[1]
+        by_unknowns[number, 1, columns] = np.cos(turn) * fit[0] - (offset + f_0) * np.sin(turn) * by_k * fit[1]
+        by_unknowns[number, 1, 1] = np.cos(turn)
+    return lines, by_unknowns
 
 
 def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
@@ -470,15 +541,16 @@ class _Corner:
     other_end: int | None
 
 
-def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats) -> list[Piece]:
+def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats, have_posts: bool = False) -> list[Piece]:
     """Return pieces whose ends are moved to corners, points and other walls, without those that then have no length.
 
     Both ends of a short piece across another wall move to where it crosses. It is no wall, and nothing ends at it.
+    Where walls have posts, a point on the line before a corner is no end of it.
     """
     while True:
         # 1. As if all of them were walls.
         found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
-        _join_corners(found, lines, points)
+        _join_corners(found, lines, points[:0] if have_posts else points)
         _move_ends_to_points(found, lines, points)
         _close_small_gaps(found, lines)
         # 2. Once more without those that are none.
@@ -589,6 +661,103 @@ def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
                         other.ends[nearest], other.closed[nearest] = place, True
 
 
+# Outlines.
+
+
+def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outline]:
+    """Return the closed outlines of boxes, of walls with ends and of points.
+
+    A box has four corners, each at the end of a wall or at a point. At least MIN_SIDES of its sides are walls, or
+    silent: sound should have passed there, and has not; or it has not passed all sides together. No path of sound or of
+    the robot has crossed a side or a diagonal, and its walls were measured from outside: what lies between a box and a
+    wall beside it is not seen either, and no box.
+    """
+    paths = _distinct(*free_paths(estimate))
+    ends = np.array([piece.ends for piece in pieces]).reshape(-1, 2)
+    corners, number_of = _corners_of(np.concatenate((ends, estimate.state.points)))
+    # 1. Sides: walls, and spans between two points that stop sound.
+    walls = {
+        (min(one, other), max(one, other)): number
+        for number, (one, other) in enumerate(number_of[: len(ends)].reshape(-1, 2).tolist())
+        if one != other and pieces[number].length_in <= MAX_BOX_IN
+    }
+    points = number_of[len(ends) :]
+    spans = {
+        (min(one, other), max(one, other)): span
+        for span in uncrossed_spans(estimate, paths)
+        for one, other in [points[[span.one, span.other]].tolist()]
+    }  # fmt: skip
+    # 2. Two sides that meet, and the fourth corner.
+    found: dict[tuple[int, ...], Outline] = {}
+    for a, b, c in _meeting([*walls, *(side for side in spans if side not in walls)]):
+        away = np.hypot(*(corners - (corners[a] + corners[c] - corners[b])).T)
+        for d in np.flatnonzero(away <= MAX_SKEW_IN).tolist():
+            around = [(min(pair), max(pair)) for pair in pairwise((a, b, c, d, a))]
+            own = tuple(walls[side] for side in around if side in walls)
+            own_spans = [spans[side] for side in around if side in spans]
+            known = sum(side in walls or (side in spans and spans[side].is_wall) for side in around)
+            is_silent = len(own_spans) == len(around) and sum(span.stopped for span in own_spans) >= MIN_STOPPED
+            place = corners[[a, b, c, d]]
+            if len({a, b, c, d}) < 4 or not (known >= MIN_SIDES or is_silent) or tuple(sorted((a, b, c, d))) in found:
+                continue
+            if not _is_entered(place, paths) and all(_is_outside(estimate, pieces[row], place) for row in own):
+                found[tuple(sorted((a, b, c, d)))] = Outline(place, own)
+    return list(found.values())
+
+
+def _distinct(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return paths (p, 2) to (p, 2) without those that begin and end beside an earlier one; all steps of the robot."""
+    kept = np.zeros(len(starts), dtype=np.bool_)
+    is_step = np.hypot(*(ends - starts).T) < SAME_END_IN
+    for row in range(len(starts)):
+        there = np.flatnonzero(kept & ~is_step)
+        is_same = np.hypot(*(starts[there] - starts[row]).T) < SAME_START_IN
+        is_same &= np.hypot(*(ends[there] - ends[row]).T) < SAME_END_IN
+        kept[row] = is_step[row] or not is_same.any()
+    return starts[kept], ends[kept]
+
+
+def _corners_of(places: Floats) -> tuple[Floats, Indices]:
+    """Return the different ones (k, 2) of places (n, 2), and the number of each place."""
+    corners, numbers = list[Floats](), []
+    for place in places:
+        away = [float(np.hypot(*(place - corner))) for corner in corners]
+        nearest = int(np.argmin(away)) if away else 0
+        if not away or away[nearest] > SAME_CORNER_IN:
+            nearest = len(corners)
+            corners.append(place)
+        numbers.append(nearest)
+    return np.array(corners).reshape(-1, 2), np.array(numbers, dtype=np.intp)
+
+
+def _meeting(sides: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int, int]]:
+    """Yield the corners of two sides that have one in common, which is the second of the three."""
+    for row, one in enumerate(sides):
+        for other in sides[row + 1 :]:
+            if common := set(one) & set(other):
+                (b,) = common
+                yield sum(one) - b, b, sum(other) - b
+
+
+def _is_entered(corners: Floats, paths: tuple[Floats, Floats]) -> bool:
+    """Return True if paths have crossed a side or a diagonal of a box with these corners (4, 2)."""
+    ones, others = corners[[0, 1, 2, 3, 0, 1]], corners[[1, 2, 3, 0, 2, 3]]
+    along = (others - ones) / np.maximum(np.hypot(*(others - ones).T), 1e-9)[:, None]
+    inner = np.concatenate((ones + BLOCKED_IN * along, others - BLOCKED_IN * along), axis=1)
+    return bool((crossings(*paths, inner).sum(axis=0) >= MIN_CROSSINGS).any())
+
+
+def _is_outside(estimate: MapEstimate, piece: Piece, corners: Floats) -> bool:
+    """Return True if the sonars that measured a wall were on the other side of it than the middle of a box (4, 2)."""
+    state, echoes = estimate.state, estimate.echoes_of(piece.line)
+    face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
+    along = (piece.ends[1] - piece.ends[0]) / piece.length_in
+    normal, at = np.array((-along[1], along[0])), (face - piece.ends[0]) @ along
+    beside = face[(at > 0.0) & (at < piece.length_in)]
+    inward = float((corners.mean(axis=0) - piece.ends[0]) @ normal)
+    return not len(beside) or float(((beside - piece.ends[0]) @ normal * inward < 0.0).mean()) >= OUTSIDE
+
+
 # Accuracy.
 
 
@@ -602,6 +771,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     if not pieces:
         return
     covariance, state = covariance_of(estimate), estimate.state
+    walls = surface_lines(estimate)[0]
     rows = 2 * (len(pieces) + len(state.points))
     A, N = np.zeros((rows, len(covariance))), np.zeros((rows, POSE))
     for number, piece in enumerate(pieces):
@@ -627,7 +797,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     for piece in pieces:
         stds: list[float | None] = [None, None]
         for end in range(2):
-            derivative = end_derivative(state.walls, state.points, piece.line, piece.ends[end])
+            derivative = end_derivative(walls, state.points, piece.line, piece.ends[end])
             if not piece.closed[end] or derivative is None:
                 continue
             along, place = lines[piece.line].along, piece.ends[end]
@@ -670,8 +840,20 @@ def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Fl
 
 
 def covariance_of(estimate: MapEstimate) -> Floats:
-    """Return the covariance (m, m) of walls, points and parameters."""
-    return estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+    """Return the covariance (m, m) of the lines of walls, points and parameters."""
+    covariance = estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+    state = estimate.state
+    if not len(state.levels):
+        return covariance
+    # Of the lines through the surfaces, which are linear in walls and levels.
+    _, by_unknowns = surface_lines(estimate)
+    count = len(covariance) - len(state.levels)
+    J = np.eye(count, len(covariance))
+    for number, derivative in enumerate(by_unknowns):
+        own = slice(WALL * number, WALL * (number + 1))
+        J[own, own], J[own, count:] = derivative[:, :WALL], derivative[:, WALL:]
+    found: Floats = J @ covariance @ J.T
+    return found
 
 
 def parameter_covariance(estimate: MapEstimate) -> Floats:

@@ -1,7 +1,7 @@
 """The comparison of learned maps with true ones, on maps whose errors are known, and one trial end to end."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,21 @@ from localization.experiments.mapping import (
     closing_error,
     disturbed,
     fit_error,
+    lines_beside,
     map_fit,
     read_scores,
     score,
     table,
     visible_samples,
 )
+from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.belief import Floats, wrap_angle
+from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.consistency import Part
+from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rigid_fit, rotate
-from localization.mapping.output import LearnedMap, Quality
-from localization.mapping.walls import Piece
+from localization.mapping.output import LearnedMap, Quality, describe, draw_learned
+from localization.mapping.walls import Outline, Piece
 from tests.localization.mapping.drives import drive
 from worlds.io import load_world
 from worlds.robots import IDEAL_CALIBRATION
@@ -181,3 +185,68 @@ def test_trial_finds_the_room(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.own_map_in - found.true_map_in < 0.3
     rows = mapping.summarize([found])
     assert ["thesis_room, centre_vertex: runs with all walls", "99 %", "1 of 1"] in rows
+
+
+def test_true_wall_of_a_surface_is_its_best_straight_line() -> None:
+    trial = Trial("thesis_room", "building", 3)
+    walls, surfaces = load_world("thesis_room").walls, trial.surfaces
+    assert surfaces is not None
+    assert lines_beside(walls, None, np.zeros((1, 2, 2))) is walls
+    # Beside a part of the wall at the bottom, from x = 20 to 80: by the normal equations, 10 places to an inch.
+    lines = lines_beside(walls, surfaces, np.array([[[80.0, -9.0], [20.0, -9.0]]]))
+    low = int(np.argmin(walls[:, 1] + walls[:, 3]))
+    x1, y1, x2, _ = walls[low]
+    x = np.arange(20.05, 80.0, 0.1)
+    level = surfaces.of(walls[low]).level_in(np.abs(x - x1))
+    sign = np.sign(x2 - x1)  # to the left of the wall
+    (at_0, slope), *_ = np.linalg.lstsq(np.stack((np.ones_like(x), x), axis=-1), y1 + sign * level, rcond=None)
+    along = np.linspace(lines[low, :2], lines[low, 2:], 100)
+    along = along[(along[:, 0] > 20.0) & (along[:, 0] < 80.0)]
+    np.testing.assert_allclose(along[:, 1], at_0 + slope * along[:, 0], atol=0.1)
+    # The plane is no such line.
+    assert np.abs(lines[low] - walls[low]).max() > 0.2
+
+
+@pytest.mark.long
+def test_walls_with_surfaces_are_mapped_as_they_are_measured(tmp_path: Path) -> None:
+    trial = Trial("thesis_room", "building", 3, 100.0)
+    driven = mapping.drive(trial, mapping.TOURS["thesis_room"], tmp_path)
+    estimate = learn_map(driven.log, THESIS_ODOMETRY, trial.sonar)
+    found, trajectory = describe(estimate), estimate.problem.trajectory
+    numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
+    assert found.reason_to_refuse() == ""
+    assert (numbers["found"], numbers["false"]) == (4, 0)
+    assert max(numbers["offsets_in"]) < 0.5
+    assert numbers["path_in"] < 0.5
+    # Levels, where the walls have them: as far from the line as the surface is.
+    assert np.std(estimate.state.levels.value_in) > 0.8
+
+
+def test_outline_counts_as_closed_where_its_box_is() -> None:
+    times = np.arange(len(PATH), dtype=np.float64)
+    driven = Drive(drive(), np.column_stack((times, PATH, np.zeros(len(PATH)))))
+    turn, shift = 0.7, np.array((30.0, -20.0))
+    room = learned(mapping.BOX_ROOM.walls, turn, shift)
+    numbers = []
+    for off in (0.0, 0.9, 3.0):
+        corners = np.array(mapping.BOX_ROOM.obstacles[1].corners_in)[::-1] + np.array((off, 0.0))
+        back = rotate(corners - shift, np.full(4, -turn))
+        found = replace(room, outlines=(Outline(back, ()),))
+        result = score(TRIAL._replace(world="boxes"), driven, found, times, PATH)
+        numbers.append((result["boxes"], result["closed"], result["false_outlines"]))
+    assert numbers == [(2, 1, 0), (2, 1, 0), (2, 0, 1)]
+
+
+@pytest.mark.long
+def test_boxes_that_a_robot_passes_have_closed_outlines(tmp_path: Path) -> None:
+    around = ((60, 26), (70, 24), (122, 22), (122, 70), (78, 76), (72, 96), (22, 92), (22, 50), (66, 44), (68, 70))
+    driven = mapping.drive(Trial("boxes", "measured", 3), around, tmp_path)
+    estimate = learn_map(driven.log, THESIS_ODOMETRY, ConeSonar())
+    found, trajectory = describe(estimate), estimate.problem.trajectory
+    numbers = score(
+        TRIAL._replace(world="boxes"), driven, found, trajectory.instants_s, trajectory.odometry[:, :2]
+    )  # fmt: skip
+    assert (numbers["closed"], numbers["false_outlines"], numbers["false"]) == (2, 0, 0)
+    # A picture has them as well.
+    draw_learned(tmp_path / "boxes.png", found, estimate)
+    assert (tmp_path / "boxes.png").stat().st_size > 10_000

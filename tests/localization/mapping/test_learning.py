@@ -15,7 +15,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
 from localization.mapping.features import FreeEchoes, _fit
-from localization.mapping.learn import _merged, drop_hidden, learn_map, merge, split
+from localization.mapping.learn import _merged, drop_hidden, drop_unmeasured, learn_map, merge, split
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
@@ -379,3 +379,15 @@ def test_refused_map_is_not_written(recording: Path, tmp_path: Path, capsys: pyt
     assert main.main(["map", "learn", "--from", str(recording), "--out", str(out), *arguments]) == 4
     assert re.search(r"no map written: its walls explain \d\d% of the ranges", capsys.readouterr().err)
     assert not out.exists()
+
+
+def test_features_that_nothing_determines_are_dropped(estimate: MapEstimate) -> None:
+    found = estimate.copy()
+    assert drop_unmeasured(found) == 0
+    found.add_wall(np.array((0.3, 400.0)), np.array((-5.0, 5.0)))
+    found.add_point(np.array((500.0, 500.0)))
+    # Anywhere: no wall is known well enough any more.
+    assert not describe(found).walls
+    assert drop_unmeasured(found) == 2
+    np.testing.assert_array_equal(found.state.walls, estimate.state.walls)
+    np.testing.assert_array_equal(found.state.points, estimate.state.points)

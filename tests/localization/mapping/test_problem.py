@@ -15,10 +15,14 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.measurements import Trajectory, build_trajectory, rotate
 from localization.mapping.problem import (
+    LEVEL_CELL_IN,
     NO_FEATURE,
+    NO_LEVEL,
     Assignment,
+    Levels,
     MapProblem,
     MapState,
+    Reflection,
     predict_point,
     predict_wall,
     robust_cost,
@@ -88,6 +92,7 @@ def dense(equations: NormalEquations) -> tuple[Floats, Floats]:
 def difference_jacobian(problem: MapProblem, state: MapState, assignment: Assignment) -> Floats:
     """Return the derivative of all residuals by central differences."""
     size, h = 3 * len(state.poses) + state.walls.size + state.points.size + len(state.parameters), 1e-5
+    size += len(state.levels)
     columns = []
     for k in range(size):
         step = np.zeros(size)
@@ -192,3 +197,77 @@ def test_cost_is_the_same_in_every_frame(x: float, y: float, turn: float, seed: 
     walls = np.stack((angle, state.walls[:, 1] + x * np.cos(angle) + y * np.sin(angle)), axis=-1)
     moved = MapState(poses, walls, rotate(state.points, np.full(len(POINTS), turn)) + shift, state.parameters)
     assert problem.cost(moved, assignment) == pytest.approx(problem.cost(state, assignment), rel=1e-7)
+
+
+# Surfaces of walls.
+
+SURFACE = Reflection(0.4, 1.6, 24.0)
+
+
+def with_levels(state: MapState, assignment: Assignment, seed: int) -> tuple[MapState, Assignment]:
+    """Return the state with levels of two walls, one with a gap, and an arbitrary one of its wall for each echo."""
+    rng = np.random.default_rng(seed)
+    wall, cell = np.array([1, 1, 1, 3, 3, 3, 3]), np.array([-2, -1, 3, 0, 1, 2, 3])
+    levels = Levels(wall, cell, 1.6 * rng.normal(size=len(wall)), np.zeros(len(wall)))
+    level = np.full(len(assignment.feature), NO_LEVEL)
+    for number in (1, 3):
+        own = np.flatnonzero(assignment.feature == number)
+        level[own] = rng.choice(np.flatnonzero(wall == number), len(own))
+    return replace(state, levels=levels), replace(assignment, level=level)
+
+
+@pytest.mark.parametrize("rays", [False, True])
+def test_derivatives_by_levels_are_those_of_difference_quotients(trajectory: Trajectory, rays: bool) -> None:
+    problem = MapProblem(trajectory, 16, rays=rays, robust=False, reflection=SURFACE)
+    state, assignment = with_levels(*perturbed(trajectory, 5), 5)
+    J, r = difference_jacobian(problem, state, assignment), problem.residual_vector(state, assignment)
+    H, g = dense(problem.normal_equations(state, assignment))
+    assert (np.abs(J[:, -7:]).sum(axis=0) > 0.0).all()
+    scale = np.sqrt(np.outer(np.diag(H), np.diag(H))) + 1.0
+    np.testing.assert_allclose(H / scale, J.T @ J / scale, atol=1e-6)
+    np.testing.assert_allclose(g / np.sqrt(np.diag(scale)), -J.T @ r / np.sqrt(np.diag(scale)), atol=1e-5)
+    # The optimum of all of them falls.
+    assert problem.cost(problem.optimize(state, assignment, 5), assignment) < problem.cost(state, assignment)
+
+
+def test_prior_of_levels_is_that_of_exponential_correlation(trajectory: Trajectory) -> None:
+    problem = MapProblem(trajectory, 16, reflection=SURFACE)
+    levels = with_levels(*perturbed(trajectory, 6), 6)[0].levels
+    apart = np.abs(levels.cell[:, None] - levels.cell) * LEVEL_CELL_IN
+    C = np.where(levels.wall[:, None] == levels.wall, 1.6**2 * np.exp(-apart / 24.0), 0.0)
+    expected = levels.value_in @ np.linalg.solve(C, levels.value_in)
+    assert np.square(problem.level_residuals(levels)[0]).sum() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("echoes", [1, 5, 40])
+def test_penalty_of_a_level_is_what_its_probability_lacks(trajectory: Trajectory, echoes: int) -> None:
+    problem = MapProblem(trajectory, 16, reflection=SURFACE)
+    # n readings z = b + noise of variance R, b of variance v: z is normal with covariance R I + v 1 1'.
+    level = np.full(len(trajectory.node), NO_LEVEL)
+    level[:echoes] = 0
+    R, z = np.square(trajectory.std_in[:echoes]), np.random.default_rng(echoes).normal(size=echoes)
+    C = np.diag(R) + 1.6**2
+    evidence = z @ np.linalg.solve(C, z) + np.linalg.slogdet(C)[1] - np.log(R).sum()
+    # By the most likely level instead.
+    b = (z / R).sum() / ((1.0 / R).sum() + 1.6**-2)
+    levels = Levels(np.array([0]), np.array([3]), np.array([b]), np.zeros(1))
+    penalty = problem.level_penalties(levels, Assignment(np.zeros(len(level), dtype=np.intp), level=level))
+    cost = (np.square(z - b) / R).sum() + np.square(problem.level_residuals(levels)[0]).sum()
+    assert cost + penalty.sum() == pytest.approx(evidence)
+
+
+def test_nearest_level_is_that_of_the_nearest_cell_of_the_wall() -> None:
+    levels = Levels(np.array([0, 0, 2, 2, 2]), np.array([-3, 4, -1, 0, 5]), np.arange(5.0), np.zeros(5))
+    rng = np.random.default_rng(7)
+    walls, feet = rng.integers(0, 4, size=(50, 4)), rng.uniform(-40.0, 40.0, size=(50, 4))
+    rows, away = levels.nearest(walls, feet)
+    low = levels.cell * LEVEL_CELL_IN
+    for wall, foot, row, distance in zip(walls.ravel(), feet.ravel(), rows.ravel(), away.ravel(), strict=True):
+        beyond = np.maximum(np.maximum(low - foot, foot - low - LEVEL_CELL_IN), 0.0)
+        beyond[levels.wall != wall] = np.inf
+        if np.isinf(beyond).all():
+            assert row == NO_LEVEL
+            continue
+        assert levels.wall[row] == wall
+        assert distance == pytest.approx(beyond.min())
+        assert beyond[row] == pytest.approx(beyond.min())

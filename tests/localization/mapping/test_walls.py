@@ -14,7 +14,16 @@ from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import join_points, prune, swallow
 from localization.mapping.output import describe, summary
-from localization.mapping.walls import extract_walls, free_paths, pass_through, passed_walls, uncrossed_spans
+from localization.mapping.problem import LEVEL_CELL_IN, Levels
+from localization.mapping.walls import (
+    extract_walls,
+    find_outlines,
+    free_paths,
+    pass_through,
+    passed_walls,
+    surface_lines,
+    uncrossed_spans,
+)
 from worlds.io import format_world, load_world
 
 
@@ -236,3 +245,154 @@ def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeyp
     # Of a map that is known only in part nothing is written.
     monkeypatch.setattr(output, "highest_std_in", lambda _: 0.5 * (stds[0] + stds[1]))
     assert "of its 4 walls are known well enough" in describe(estimate).reason_to_refuse()
+
+
+# Closed outlines.
+
+BOX = ((20.0, 100.0), (32.0, 100.0), (32.0, 112.0), (20.0, 112.0))
+
+
+def boxed(estimate: MapEstimate, sides: int) -> tuple[MapEstimate, list[walls.Piece]]:
+    """Return the map with the corners of a box that no path has reached, and its walls along so many sides."""
+    found = estimate.copy()
+    for corner in BOX:
+        found.add_point(np.array(corner))
+    pieces = extract_walls(estimate)
+    for one, other in list(zip(BOX, (*BOX[1:], BOX[0]), strict=True))[:sides]:
+        pieces.append(walls.Piece(99, 0.0, 0.0, np.array((one, other)), [True, True], 9))
+    return found, pieces
+
+
+def test_three_walls_of_a_box_are_a_closed_outline(estimate: MapEstimate) -> None:
+    found, pieces = boxed(estimate, 3)
+    (outline,) = find_outlines(found, pieces)
+    assert sorted(outline.corners.tolist()) == sorted(map(list, BOX))
+    assert sorted(outline.walls) == [len(pieces) - 3, len(pieces) - 2, len(pieces) - 1]
+    # In order: along the sides, not along a diagonal.
+    closed = np.concatenate((outline.corners, outline.corners[:1]))
+    np.testing.assert_allclose(np.hypot(*np.diff(closed, axis=0).T), 12.0)
+    # Two walls and four corners are none while nothing tells that the other sides stop sound.
+    assert find_outlines(*boxed(estimate, 2)) == []
+
+
+@pytest.mark.parametrize("end", [(26.0, 108.0), (45.0, 106.0)])  # inside, and beyond
+def test_outline_is_not_closed_through_free_space(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, end: tuple[float, float]
+) -> None:
+    found, pieces = boxed(estimate, 3)
+    # A single path may be a mistaken echo, and the same from a place beside it is no other one.
+    for starts, outlines in (((10.0,), 1), ((10.0, 2.0), 1), ((10.0, -3.0), 0)):
+        paths = np.array([(x, 106.0) for x in starts]), np.tile(end, (len(starts), 1))
+        monkeypatch.setattr(walls, "free_paths", lambda _, paths=paths: paths)
+        assert len(find_outlines(found, pieces)) == outlines
+    # Two steps of a robot cross it, each of them a different side.
+    steps = np.array([(18.0, 106.0), (30.0, 105.0)]), np.array([(22.0, 106.0), (34.0, 105.0)])
+    monkeypatch.setattr(walls, "free_paths", lambda _: steps)
+    assert len(find_outlines(found, pieces)) == 1
+    monkeypatch.setattr(walls, "free_paths", lambda _: tuple(np.repeat(part, 2, axis=0) for part in steps))
+    assert not find_outlines(found, pieces)
+
+
+def test_outline_of_walls_measured_from_inside_is_no_box(estimate: MapEstimate) -> None:
+    # The room itself, if it were as small as a box.
+    pieces = extract_walls(estimate)
+    assert find_outlines(estimate, pieces) == []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(walls, "MAX_BOX_IN", 200.0)
+        patch.setattr(walls, "free_paths", lambda _: (np.zeros((0, 2)), np.zeros((0, 2))))
+        assert find_outlines(estimate, pieces) == []
+        patch.setattr(walls, "OUTSIDE", 0.0)
+        assert len(find_outlines(estimate, pieces)) == 1
+
+
+@pytest.mark.parametrize(("stopped", "outlines"), [
+    ((4, 4, 0, 0), 1), ((4, 4, None, None), 0), ((4, 4, 4, None), 1),  # two and three silent sides
+    ((2, 1, 1, 0), 1), ((1, 1, 1, 0), 0), ((2, 2, 2, None), 0),  # all four together; one has been crossed
+])  # fmt: skip
+def test_corners_between_which_no_sound_passes_are_a_closed_outline(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, stopped: tuple[int | None, ...], outlines: int
+) -> None:
+    found, pieces = boxed(estimate, 0)
+    first = len(found.state.points) - 4
+    assert find_outlines(found, pieces) == []
+    spans = [
+        walls.Span(first + k, first + (k + 1) % 4, np.array((*BOX[k], *BOX[(k + 1) % 4])), count)
+        for k, count in enumerate(stopped) if count is not None
+    ]  # fmt: skip
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: spans)
+    assert len(find_outlines(found, pieces)) == outlines
+
+
+def test_box_is_an_obstacle_of_the_world(estimate: MapEstimate, tmp_path: Path) -> None:
+    found = describe(estimate)
+    corners = np.array(BOX)
+    sides = [
+        walls.Piece(99, 0.0, 9.0, np.array(ends), [False, True], 9, 0.1, 0.01)
+        for ends in (BOX[:2], BOX[1:3], BOX[2:])
+    ]
+    count = len(found.walls)
+    outline = walls.Outline(corners, (count, count + 1, count + 2))
+    points = np.concatenate((found.points, corners + np.array((3.0, 0.0))))
+    found = replace(found, walls=(*found.walls, *sides), outlines=(outline,), points=points)
+    world = found.world("boxes")
+    assert [(solid.name, solid.corners_in) for solid in world.obstacles] == [("box 1", BOX)]
+    # Each wall once: in an outline, or by itself with its accuracy.
+    assert len(world.inner_walls) == len(world.accuracies) == count
+    file = tmp_path / "box.toml"
+    file.write_text(format_world(world))
+    assert load_world(file).walls.shape == (count + 4, 4)
+    assert found.as_json()["outlines_in"] == [corners.tolist()]
+    assert "closed outline: (20.0, 100.0), (32.0, 100.0)" in summary(found)
+    # Points at a box are no posts, and its sides have no open ends.
+    assert not len(found.posts)
+    assert found.open_ends == describe(estimate).open_ends
+
+
+# Surfaces.
+
+
+def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
+    """Return the map with levels of its first two walls, the second one's a single cell."""
+    rng = np.random.default_rng(seed)
+    found, cells = estimate.copy(), np.array([*range(-6, 9), 3])
+    levels = Levels(np.array([0] * 15 + [1]), cells, 1.6 * rng.normal(size=16), np.zeros(16))
+    found.state = replace(found.state, levels=levels)
+    return found
+
+
+def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -> None:
+    found = with_surface(estimate, 3)
+    lines, _ = surface_lines(found)
+    state = found.state
+    for number, count in ((0, 15), (1, 1)):
+        (angle, offset), own = state.walls[number], state.levels.of(number)
+        assert own.stop - own.start == count
+        # In the frame of the wall, x along it: a polynomial fit, and the distance of its line from places.
+        t, b = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5), state.levels.value_in[own]
+        slope, at_0 = np.polyfit(t, b, 1) if count > 1 else (0.0, b[0])
+        n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        line_angle, line_offset = lines[number]
+        for x in (-30.0, 0.0, 70.0):
+            place = n * (offset + at_0 + slope * x) + u * x
+            off = place @ (np.cos(line_angle), np.sin(line_angle)) - line_offset
+            assert off == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_array_equal(lines[2:], state.walls[2:])
+
+
+def test_derivatives_of_the_line_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
+    found, h = with_surface(estimate, 4), 1e-6
+    walls_of, levels = found.state.walls, found.state.levels
+    _, by_unknowns = surface_lines(found)
+    for number in (0, 1, 2):
+        for column in range(2 + len(levels)):
+            ends = []
+            for sign in (1.0, -1.0):
+                changed = found.copy()
+                moved, values = walls_of.copy(), levels.value_in.copy()
+                if column < 2:
+                    moved[number, column] += sign * h
+                else:
+                    values[column - 2] += sign * h
+                changed.state = replace(found.state, walls=moved, levels=replace(levels, value_in=values))
+                ends.append(surface_lines(changed)[0][number])
+            np.testing.assert_allclose(by_unknowns[number, :, column], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
