@@ -39,7 +39,7 @@ from aiohttp.http import HttpProcessingError
 from nclient.errors import ConnectionLost, NomadError
 from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
-from nserver_emu.server.connection import FairScheduler, TokenBucket
+from nserver_emu.server.connection import FairScheduler, TokenBucket, end_task
 
 log = logging.getLogger(__name__)
 
@@ -442,11 +442,8 @@ class HttpPort:
 
     async def close(self) -> None:
         """Stop serving: the clock, websockets, the port. May be called twice."""
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
+        await end_task(self._clock)
+        self._clock = None
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
         if self._server is not None:
