@@ -35,6 +35,7 @@ from typing import Any, Final
 from nclient.errors import ConnectionLost, ControlError, NomadError, suggest, version
 from nclient.faults.inject import total
 from nclient.faults.plan import MAX_BYTES, load_plan, parse_plan, plan_text
+from nclient.transports.listener import before_world
 from nserver_emu.control import snapshot
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import runtime_settings
@@ -510,9 +511,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("faults and control")
     group.add_argument("--faults", type=Path, metavar="FILE",
                        help="inject faults by this plan (TOML): bytes lost, late, corrupted or refused, by line")
-    group.add_argument("--control", type=_socket_after_a_world, nargs="?", const=_DEFAULT, metavar="PATH",
-                       help="listen for `nserver ctl` on a Unix socket that only you can open (default: in your "
-                       "runtime folder)")
+    group.add_argument("--control", type=before_world("--control", socket_path), nargs="?", const=_DEFAULT,
+                       metavar="PATH", help="listen for `nserver ctl` on a Unix socket that only you can open "
+                       "(default: in your runtime folder)")
 
 
 def may_have_faults(options: argparse.Namespace) -> bool:
@@ -547,10 +548,3 @@ def socket_path(text: str) -> Path:
         wanted = f"a path with a slash or ending in {_SUFFIX}, such as ./nserver{_SUFFIX}"
         raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}")
     return Path(text)
-
-
-def _socket_after_a_world(text: str) -> Path:
-    try:
-        return socket_path(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}; the world goes before --control") from None

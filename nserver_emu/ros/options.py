@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import require_packages
-from nclient.transports.listener import ListenAddress, listen_address_of, parse_listen_address
+from nclient.transports.listener import ListenAddress, before_world, parse_listen_address
 from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 
@@ -37,7 +37,7 @@ _PACKAGES: Final = ("cyclonedds", "rosbags")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of rosbridge and of ROS 2, each in a group of their own."""
     group = parser.add_argument_group("rosbridge")
-    group.add_argument("--rosbridge", type=listen_address_of("--rosbridge"), nargs="?",
+    group.add_argument("--rosbridge", type=before_world("--rosbridge", parse_listen_address), nargs="?",
                        const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the robots as ROS topics to rosbridge clients; the address with a token is printed "
                        f"on stdout (default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given;"

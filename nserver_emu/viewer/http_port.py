@@ -39,7 +39,7 @@ from aiohttp.http import HttpProcessingError
 from nclient.errors import ConnectionLost, NomadError
 from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
-from nserver_emu.server.connection import FairScheduler, TokenBucket
+from nserver_emu.server.connection import FairScheduler, TokenBucket, end_task
 
 log = logging.getLogger(__name__)
 
@@ -184,6 +184,8 @@ class HttpAdmission:
 
     def __init__(self, door: AdmissionControl, server: web.Server) -> None:
         self._door, self._server = door, server
+        # A rejected connection is counted and logged there.
+        self.reject = door.reject
         self._silent: set[asyncio.BaseProtocol] = set()
         self._rate_limits: dict[str, TokenBucket] = {}
 
@@ -215,10 +217,6 @@ class HttpAdmission:
         if sum(one == host for one in present) >= limits.per_address:
             return f"there are {limits.per_address} connections to the page from there already (--limit-per-address)"
         return ""
-
-    def reject(self, host: str, reason: str) -> None:
-        """Count and log a rejected connection."""
-        self._door.reject(host, reason)
 
     def keep_record(self, record: logging.LogRecord) -> bool:
         """Filter of HTTP_LOG: bytes that are not HTTP count as a rejected connection, without a traceback."""
@@ -274,6 +272,8 @@ class PageWriter:
     def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport, now: float) -> None:
         self._socket = socket
         self._transport = transport
+        # Disconnects at once; closing would wait until everything is received.
+        self.abort = transport.abort
         self._unsent = 0
         self._last_progress_s = now
         transport.set_write_buffer_limits(high=NO_LIMIT)
@@ -294,10 +294,6 @@ class PageWriter:
     async def send(self, text: str) -> None:
         """Send a text message."""
         await self._socket.send_str(text)
-
-    def abort(self) -> None:
-        """Disconnect at once; closing would wait until everything is received."""
-        self._transport.abort()
 
 
 class PageMessages:
@@ -442,11 +438,8 @@ class HttpPort:
 
     async def close(self) -> None:
         """Stop serving: the clock, websockets, the port. May be called twice."""
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
+        await end_task(self._clock)
+        self._clock = None
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
         if self._server is not None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from nclient.errors import require_packages
-from nclient.transports.listener import ListenAddress, listen_address_of
+from nclient.transports.listener import ListenAddress, before_world, parse_listen_address
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon
 from worlds.world import StartPose
@@ -35,7 +35,7 @@ DEFAULT_PORT: Final = 7080
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?",
+    group.add_argument("--viewer", type=before_world("--viewer", parse_listen_address), nargs="?",
                        const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
                        f"(default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
