@@ -131,7 +131,7 @@ async def test_a_slow_viewer_gets_pictures_again_after_catching_up() -> None:
         held = viewer.latest
         await asyncio.sleep(0.3)
         assert viewer.latest == held
-        await page.until(lambda message: message["type"] == "picture" and message["frame"] > viewer.latest)
+        await page.until(lambda message: message["type"] == "picture" and message["frame"] > held)
 
 
 async def test_a_watcher_may_do_nothing_else() -> None:
