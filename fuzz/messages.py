@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
@@ -22,7 +22,7 @@ from nserver_emu.control.commands import COMMANDS, answer_line
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.serial_session import FaultController
-from nserver_emu.viewer.messages import CALLS, CONTROLS, InvalidMessage, parse_estimate, parse_message
+from nserver_emu.viewer.messages import Call, Control, InvalidMessage, parse_estimate, parse_message
 
 _PLAN = 'seed = 1\n[[rule]]\ndo = "drop"\nevery = 10\n'
 _WORLD = "[[wall]]\npoints_in = [[-90, -90], [90, -90]]\n"
@@ -130,8 +130,8 @@ def _message_seeds() -> list[bytes]:
         {"do": "drive", "id": 1, "robot": 1, "args": [1, 2, 3]}, {"do": "stop", "id": 2}, {"do": "release", "id": 3},
         {"do": "click", "robot": 1, "pose": [1, 2, 3, 4]},
         {"do": "waypoints", "robot": 1, "points": [[1.5, 2], [3, 4]]},
-        *({"do": "call", "id": 1, "robot": 1, "call": call, "args": [1, 2]} for call in sorted(CALLS)),
-        *({"do": "control", "id": 1, "command": name, "argument": None} for name in sorted(CONTROLS)),
+        *({"do": "call", "id": 1, "robot": 1, "call": call, "args": [1, 2]} for call in sorted(get_args(Call))),
+        *({"do": "control", "id": 1, "command": name, "argument": None} for name in sorted(get_args(Control))),
     ]  # fmt: skip
     return [json.dumps(each).encode() for each in message]
 

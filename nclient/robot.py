@@ -19,7 +19,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
-from nclient import state as states
+import nclient.state as states
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import types

@@ -64,7 +64,7 @@ from nserver_emu.ros.options import running_ros
 from nserver_emu.server import admission, config, serial_lines
 from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, limits_of, make_room
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, read_setups, robot_placements
-from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
+from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN, end_task
 from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_lines import at_port, open_lines
@@ -324,10 +324,7 @@ async def announced(manager: ServiceManager) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        if feeding is not None:
-            feeding.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await feeding
+        await end_task(feeding)
 
 
 async def _feed(manager: ServiceManager) -> None:

@@ -27,21 +27,9 @@ from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError, suggest
+from worlds import schema
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
-from worlds.schema import (
-    INCHES_PER_UNIT,
-    MIN_WALL_IN,
-    Angle,
-    Distance,
-    Length,
-    Line,
-    Outline,
-    Table,
-    parse_toml,
-    read_text,
-    require_outline,
-    table,
-)
+from worlds.schema import Distance, Line, Table, table
 from worlds.world import (
     AT_ORIGIN,
     MAX_CORNERS,
@@ -106,18 +94,18 @@ class _Outline(Table):
     """A polygon: the outline of a room or an obstacle."""
 
     name: Annotated[Text, Meta(description="name, shown on maps")] = ""
-    corners: Outline
+    corners: schema.Outline
 
     def check(self) -> None:
         _reject_repeats(self, "corners", polygon_segments(self.corners))
-        require_outline(self.key_of("corners"), self.corners)
+        schema.require_outline(self.key_of("corners"), self.corners)
 
 
-_HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in INCHES_PER_UNIT]}
+_HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in schema.INCHES_PER_UNIT]}
 
 
 @table(condition={"dependentSchemas": dict.fromkeys(
-    ["angle_std_deg", *(f"measured_{unit}" for unit in INCHES_PER_UNIT)], _HAS_OFFSET
+    ["angle_std_deg", *(f"measured_{unit}" for unit in schema.INCHES_PER_UNIT)], _HAS_OFFSET
 )})  # fmt: skip
 class _Wall(Table):
     """An inner wall."""
@@ -193,10 +181,10 @@ class _Walker(Table):
 class _Start(Table):
     """A start pose."""
 
-    x: Length
-    y: Length
-    steering_deg: Annotated[Angle, Meta(description="direction of the steering")] = 0.0
-    turret_deg: Annotated[Angle, Meta(description="direction of the turret")] = 0.0
+    x: schema.Length
+    y: schema.Length
+    steering_deg: Annotated[schema.Angle, Meta(description="direction of the steering")] = 0.0
+    turret_deg: Annotated[schema.Angle, Meta(description="direction of the turret")] = 0.0
 
 
 @table(condition={"anyOf": [{"required": ["name"]}, {"required": ["figure"]}]})
@@ -250,7 +238,7 @@ def parse_world(text: str, file: str, name: str) -> World:
     ------
     WorldFileError
     """
-    values = parse_toml(text, file)
+    values = schema.parse_toml(text, file)
     with reported_as(WorldFileError, file):
         _check_size(values)
         return _build_world(convert(values, WorldFile), name)
@@ -362,13 +350,13 @@ def _read(path: FilePath) -> str:
     if not path.is_file():
         kind = "a directory" if path.is_dir() else "no regular file"
         raise WorldFileError(f"{path}: expected a world file in TOML, found {kind}")
-    return read_text(path)
+    return schema.read_text(path)
 
 
 def _reject_repeats(table: Table, name: str, segments: FloatArray) -> None:
     """Reject an edge without length: a corner given twice in a row."""
     # The first edge without length; of an outline the closing edge gets a message of its own.
-    short = np.flatnonzero(lengths(segments) < MIN_WALL_IN)
+    short = np.flatnonzero(lengths(segments) < schema.MIN_WALL_IN)
     if not short.size:
         return
     key, number = table.key_of(name), int(short[0])
@@ -387,7 +375,7 @@ def _paths(rows: tuple[_Path, ...], starts: tuple[StartPose, ...]) -> dict[str, 
             complaint = f"expected a whole number from 0 to {len(starts) - 1}, found {row.start}"
             raise InvalidValue(complaint, f"path[{k}].start")
         start = StartPose(x, y) if row.start is UNSET else starts[row.start]
-        if max(abs(start.x_in - x), abs(start.y_in - y)) > MIN_WALL_IN:
+        if max(abs(start.x_in - x), abs(start.y_in - y)) > schema.MIN_WALL_IN:
             raise InvalidValue(
                 f"expected the place of start[{row.start}], ({start.x_in:g}, {start.y_in:g}) in, "
                 f"found ({x:g}, {y:g}) in", f"path[{k}].{row.key_of('points')}[0]",

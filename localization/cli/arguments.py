@@ -18,15 +18,9 @@ from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
+from localization.live import assumptions
 from localization.live import estimate as saved_estimate
-from localization.live.assumptions import (
-    BUILDING_SETUP,
-    SIMULATION,
-    SonarAssumption,
-    decide_by_readings,
-    resolve_body,
-    resolve_sonar_model,
-)
+from localization.live.assumptions import SIMULATION, decide_by_readings
 from localization.live.run import Run
 from localization.live.sensor_input import EncoderPose, restart_ring, with_wheels
 from localization.mapping.aliases import AliasFinder
@@ -145,7 +139,7 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
         help="robot models that override or extend these (default: model_file of a sim: address)"
     )
     add_odometry_noise(parser)
-    parser.add_argument("--sonars", choices=("rays", "cones", BUILDING_SETUP),
+    parser.add_argument("--sonars", choices=("rays", "cones", assumptions.BUILDING_SETUP),
                         help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
                              "outliers, or the same in a real building, whose walls have doors and posts (method "
                              "ekf; others: cones) (default: for sim: addresses that of the setup, rays for other "
@@ -256,7 +250,7 @@ def resolve_log_body(options: argparse.Namespace) -> Body:
     name = options.body
     if not name:
         name = [*load_bodies(options.model_file)][-1] if options.model_file else N150.name
-    return resolve_body(name, options.model_file, None)
+    return assumptions.resolve_body(name, options.model_file, None)
 
 
 def make_folder(folder: Path) -> None:
@@ -302,7 +296,7 @@ class LocalizationSetup(NamedTuple):
 
     belief: Belief
     config: LocalizationConfig
-    sonars: SonarAssumption
+    sonars: assumptions.SonarAssumption
 
 
 def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace) -> LocalizationSetup:
@@ -326,7 +320,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
         belief = _widen_encoders(options, world, state, belief)
     options.method = options.method or (FINDER if is_wide(belief) or options.driven_in else DEFAULT_METHOD)
     # 2. Sonar model.
-    body = resolve_body(options.body, options.model_file, options.address)
+    body = assumptions.resolve_body(options.body, options.model_file, options.address)
     sonars = find_sonar_model(robot, simulated, None if options.start == UNKNOWN else belief, world, body, options)
     # 3. All models.
     # Of the methods only this one models the surfaces of walls; for the others a building has cones.
@@ -339,12 +333,12 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
 
 def find_sonar_model(
     robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body, options: argparse.Namespace
-) -> SonarAssumption:
+) -> assumptions.SonarAssumption:
     """Return the assumed sonar model and print it if it is guessed, on stdout (stderr with --json).
 
     A simulation that does not report its model is decided by a round of readings; the robot stands meanwhile.
     """
-    sonars = resolve_sonar_model(options.sonars, simulated, options.address)
+    sonars = assumptions.resolve_sonar_model(options.sonars, simulated, options.address)
     if sonars.rays and sonars.guessed and body.ring.fits_state:
         _, state = restart_ring(robot, body.ring)
         end_s = (state.clock_s or 0.0) + body.ring.round_s + ROUND_MARGIN_S

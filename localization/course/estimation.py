@@ -8,7 +8,8 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from localization.course.tasks import TRIES, Answer, Rng, Wrong, call, expect, numbers, require, task, truth_value
+from localization.course import tasks
+from localization.course.tasks import TRIES, Answer, Part, Rng, Wrong, expect, expect_two, numbers, require, task
 from worlds.raycast import cast_ray
 
 Floats = npt.NDArray[np.float64]
@@ -40,10 +41,8 @@ def predict_grid(answer: Answer, rng: Rng) -> None:
         mistakes = [
             (wrapped, "What leaves the corridor at its end does not come back at its beginning."),
             (lost, "What would leave the corridor stays in the last cell; here it is lost, and the sum is below 1."),
-            (
-                lost / lost.sum(),
-                "What would leave the corridor stays in the last cell: do not spread it by normalizing.",
-            ),
+            (lost / lost.sum(),
+             "What would leave the corridor stays in the last cell: do not spread it by normalizing."),
             (backwards, "kernel[k] is the probability of k cells forwards."),
         ]
         expect(
@@ -80,10 +79,8 @@ def reading_likelihood(answer: Answer, rng: Rng) -> None:
             (density, "A reading is random with the probability p_random: add p_random / 255."),
             (density + p_random / MAX_RANGE_IN, "The Gaussian part has the weight 1 - p_random."),
             ((1 - p_random) * density + p_random, "The uniform density over 255 in is 1 / 255."),
-            (
-                (1 - p_random) * bell + p_random / MAX_RANGE_IN,
-                "The Gaussian density has the factor 1 / (std sqrt(2 pi)).",
-            ),
+            ((1 - p_random) * bell + p_random / MAX_RANGE_IN,
+             "The Gaussian density has the factor 1 / (std sqrt(2 pi))."),
             ((1 - p_random) * density, "Add the uniform part, p_random / 255."),
         ]
         right = (1 - p_random) * density + p_random / MAX_RANGE_IN
@@ -117,10 +114,8 @@ def update_line(answer: Answer, rng: Rng) -> None:
         variance = float(weights @ (places - mean) ** 2)
         K, wrong = P / (P + R), R / (P + R)
         mistakes = [
-            (
-                (x + wrong * (z - x), (1 - wrong) * P),
-                "The gain is P / (P + R): an uncertain estimate follows the reading.",
-            ),
+            ((x + wrong * (z - x), (1 - wrong) * P),
+             "The gain is P / (P + R): an uncertain estimate follows the reading."),
             ((mean, P), "A reading makes the variance smaller, too."),
             ((x - K * (z - x), variance), "The innovation is the reading minus the expected one."),
             ((mean, (1 + K) * P), "The variance becomes smaller: (1 - K) P."),
@@ -143,12 +138,9 @@ def is_consistent(answer: Answer, rng: Rng) -> None:
         innovations = rng.standard_normal(n)
         # Exactly in the middle of the interval: no bound decides.
         innovations *= factor * np.sqrt(variances) / sqrt(np.mean(innovations**2))
-        found = truth_value(answer, innovations, variances)
-        require(
-            found is right,
-            f"{n} innovations {about}; it returned {found}. The mean of innovation^2 / S is 1 on "
-            "average, and its variance is 2 / n.",
-        )
+        found = tasks.truth_value(answer, innovations, variances)
+        require(found is right, f"{n} innovations {about}; it returned {found}. The mean of innovation^2 / S is 1 on "
+                                "average, and its variance is 2 / n.")  # fmt: skip
 
 
 @task("06", points=2)
@@ -164,32 +156,19 @@ def motion_jacobians(answer: Answer, rng: Rng) -> None:
         pose, step, small = np.array([0.0, 0.0, heading]), np.array([distance, turn]), 1e-5
         F = np.stack([(move(pose + d, step) - move(pose - d, step)) / (2 * small) for d in small * np.eye(3)], axis=1)
         G = np.stack([(move(pose, step + d) - move(pose, step - d)) / (2 * small) for d in small * np.eye(2)], axis=1)
-        result = call(answer, heading, distance, turn)
-        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return two arrays: F (3 x 3) and G (3 x 2).")
-        expect(
-            lambda *_, F=result[0]: F,
-            (heading, distance, turn),
-            F,
-            0.03 * distance,
-            mistakes=[
+        no_half = G.copy()
+        no_half[:2, 1] *= 2
+        expect_two(
+            answer, (heading, distance, turn), "Return two arrays: F (3 x 3) and G (3 x 2).",
+            Part(F, 0.03 * distance, "F: derivatives of x', y', heading' by x, y, heading.", [
                 (F.T, "F is transposed: a row for each coordinate of the new pose."),
                 (F - np.eye(3), "x, y and heading also depend on themselves: 1 on the diagonal."),
                 (2 * np.eye(3) - F, "The signs: the derivative of the cosine is minus the sine."),
-            ],
-            hint="F: derivatives of x', y', heading' by x, y, heading.",
-        )
-        no_half = G.copy()
-        no_half[:2, 1] *= 2
-        expect(
-            lambda *_, G=result[1]: G,
-            (heading, distance, turn),
-            G,
-            0.02 * distance,
-            mistakes=[
+            ]),
+            Part(G, 0.02 * distance, "G: derivatives of x', y', heading' by distance and turn.", [
                 (no_half, "The heading while driving is that at half of the turn: the chain rule gives a factor 1/2."),
-            ],
-            hint="G: derivatives of x', y', heading' by distance and turn.",
-        )
+            ]),
+        )  # fmt: skip
 
 
 @task("06", points=2)
@@ -210,31 +189,18 @@ def range_and_jacobian(answer: Answer, rng: Rng) -> None:
         pose, small = np.array([x, y, heading]), 1e-4
         h = measure(pose)
         H = np.array([(measure(pose + d) - measure(pose - d)) / (2 * small) for d in small * np.eye(3)])
-        result = call(answer, pose, bearing, n, rho)
-        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return the range and the three derivatives.")
-        expect(
-            lambda *_, h=result[0]: h,
-            (pose, bearing, n, rho),
-            h,
-            1e-3,
-            mistakes=[
+        expect_two(
+            answer, (pose, bearing, n, rho), "Return the range and the three derivatives.",
+            Part(h, 1e-3, "range = (rho - n . p) / (n . u), with u the direction of the beam.", [
                 (rho - n @ (x, y), "That is the distance to the wall; divide by n . u for the range along the beam."),
-            ],
-            hint="range = (rho - n . p) / (n . u), with u the direction of the beam.",
-        )
-        expect(
-            lambda *_, H=result[1]: H,
-            (pose, bearing, n, rho),
-            H,
-            0.002 * (1 + abs(H[2])),
-            mistakes=[
+            ]),
+            Part(H, 0.002 * (1 + abs(H[2])), "H: derivatives of the range by x, y and heading.", [
                 (-H, "The signs: the range becomes shorter towards the wall."),
                 ((*H[:2], 0.0), "The range also depends on the heading, which turns the beam."),
                 ((*H[:2], -H[2]), "The derivative by the heading has the other sign."),
                 ((-n[0], -n[1], H[2]), "Divide by n . u: along a slanted beam the range changes faster."),
-            ],
-            hint="H: derivatives of the range by x, y and heading.",
-        )
+            ]),
+        )  # fmt: skip
 
 
 @task("06", points=2)
@@ -246,32 +212,19 @@ def update_pose(answer: Answer, rng: Rng) -> None:
         H, innovation, R = rng.normal(0, 1, 3) * (1, 1, 20), float(rng.normal(0, 2)), float(rng.uniform(0.1, 2))
         P_new = np.linalg.inv(np.linalg.inv(P) + np.outer(H, H) / R)
         x_new, S = x + P_new @ H * innovation / R, H @ P @ H + R
-        result = call(answer, x, P, innovation, H, R)
-        require(isinstance(result, (tuple, list)) and len(result) == 2, "Return x (3 numbers) and P (3 x 3).")
-        K, arguments = P @ H / S, (x, P, innovation, H, R)
-        expect(
-            lambda *_, x=result[0]: x,
-            arguments,
-            x_new,
-            1e-6,
-            mistakes=[
+        K = P @ H / S
+        expect_two(
+            answer, (x, P, innovation, H, R), "Return x (3 numbers) and P (3 x 3).",
+            Part(x_new, 1e-6, "x = x + K innovation, with K = P H' / S and S = H P H' + R.", [
                 (x - K * innovation, "Add K times the innovation."),
                 (x + P @ H / (H @ P @ H) * innovation, "S = H P H' + R: the noise of the reading is missing."),
                 (x + P @ H * innovation, "The gain is P H' / S."),
-            ],
-            hint="x = x + K innovation, with K = P H' / S and S = H P H' + R.",
-        )
-        expect(
-            lambda *_, P=result[1]: P,
-            arguments,
-            P_new,
-            1e-6 * (1 + np.abs(P)),
-            mistakes=[
+            ]),
+            Part(P_new, 1e-6 * (1 + np.abs(P)), "P = P - K H P. K H is a matrix: np.outer.", [
                 (P, "A reading makes P smaller."),
                 (P + np.outer(K, H @ P), "P becomes smaller: P - K H P."),
-            ],
-            hint="P = P - K H P. K H is a matrix: np.outer.",
-        )
+            ]),
+        )  # fmt: skip
 
 
 @task("07")
@@ -299,9 +252,8 @@ def nearest_reflector(answer: Answer, rng: Rng) -> None:
     for k in range(6 * TRIES):
         # Reflectors close together, readings near them, some standard deviations off, and far away.
         expected, variances, gate = rng.uniform(50, 70, 4), np.exp(rng.uniform(-2, 3, 4)), 9.0
-        reading = float(
-            (rng.uniform(45, 75), 70 + rng.uniform(4, 10) * sqrt(variances.max()), rng.uniform(130, 250))[k % 3]
-        )
+        readings = rng.uniform(45, 75), 70 + rng.uniform(4, 10) * sqrt(variances.max()), rng.uniform(130, 250)
+        reading = float(readings[k % 3])
         distances = (reading - expected) ** 2 / variances
         # Cases that rounding or a strict gate would decide are left out.
         if np.min(np.abs(distances - gate)) < 0.1 or np.diff(np.sort(distances))[0] < 0.1:
@@ -310,11 +262,9 @@ def nearest_reflector(answer: Answer, rng: Rng) -> None:
         found = float(numbers(answer, reading, expected, variances, gate, shape=()))
         hint = "Compare squared innovations divided by their variances with the gate."
         if found == int(np.abs(reading - expected).argmin()):
-            hint = (
-                "The nearest in inches is not the nearest in standard deviations."
-                if right >= 0
-                else "Nothing is within the gate: return -1."
-            )
+            hint = "The nearest in inches is not the nearest in standard deviations."
+            if right == NEVER:
+                hint = "Nothing is within the gate: return -1."
         elif found == NEVER:
             hint = "It is within the gate: the gate belongs to the squared distance."
         require(
@@ -361,13 +311,10 @@ def move_particles(answer: Answer, rng: Rng) -> None:
         moved = numbers(answer, particles, distance, turn, rng, shape=(n, 3))
         std = np.array([sqrt(VAR_PER_IN * distance), sqrt(VAR_PER_RAD * abs(turn) + TURN_VAR_PER_IN * distance)])
         turned = (moved[:, 2] - heading - turn + pi) % (2 * pi) - pi
-        require(
-            moved.std(axis=0).max() > 0, "All particles move alike: draw noise for each of them, size=len(particles)."
-        )
-        require(
-            abs(turned.mean()) < 0.02,
-            f"The headings change by {turn + turned.mean():.3f} rad on average, not by {turn:.3f}.",
-        )
+        require(moved.std(axis=0).max() > 0,
+                "All particles move alike: draw noise for each of them, size=len(particles).")  # fmt: skip
+        require(abs(turned.mean()) < 0.02,
+                f"The headings change by {turn + turned.mean():.3f} rad on average, not by {turn:.3f}.")  # fmt: skip
         require(
             abs(turned.std() / std[1] - 1) < 0.05,
             f"The turns have the standard deviation {turned.std():.4f} rad; "
@@ -449,10 +396,8 @@ def mean_pose(answer: Answer, rng: Rng) -> None:
         off = (particles[:, 2] - centre + pi) % (2 * pi) - pi
         right = np.array([*(weights @ particles[:, :2]), centre + weights @ off])
         mistakes = [
-            (
-                weights @ particles,
-                "Headings on both sides of 0 have no arithmetic mean: use the mean of cosines and sines.",
-            ),
+            (weights @ particles,
+             "Headings on both sides of 0 have no arithmetic mean: use the mean of cosines and sines."),
             ((*particles[:, :2].mean(axis=0), right[2]), "Use the weights for the position."),
         ]
         expect(
@@ -491,10 +436,8 @@ def random_fraction(answer: Answer, rng: Rng) -> None:
             ((*right[:2], 1 - next_fast / next_slow), "A fraction is not negative: max(0, ...)."),
             ((*right[:2], max(0.0, 1 - next_slow / next_fast)), "Random particles are added while fast is below slow."),
             ((*right[:2], max(0.0, 1 - fast / slow)), "Use the new averages for the fraction."),
-            (
-                ((1 - SLOW) * likelihood + SLOW * slow, (1 - FAST) * likelihood + FAST * fast, right[2]),
-                "The rate is the weight of the new value.",
-            ),
+            (((1 - SLOW) * likelihood + SLOW * slow, (1 - FAST) * likelihood + FAST * fast, right[2]),
+             "The rate is the weight of the new value."),
         ]
         expect(
             answer, (slow, fast, likelihood), right, 1e-9, mistakes=mistakes,
@@ -520,16 +463,12 @@ def is_found(answer: Answer, rng: Rng) -> None:
         (near(centre, n), equal, True, "All particles are within 12 in of their mean."),
         (np.vstack((near(centre, n // 2), near(other, n // 2))), equal, False, "There are two groups of equal weight."),
         (spread, equal, False, "The particles fill the room."),
-        (
-            np.vstack((near(centre, n // 2), near(other, n // 2))),
-            light,
-            True,
-            "Of two groups one has 0.5 % of the weight.",
-        ),
+        (np.vstack((near(centre, n // 2), near(other, n // 2))), light, True,
+         "Of two groups one has 0.5 % of the weight."),
         (stray, equal, True, "2 % of the particles are anywhere, the others in one place."),
         (np.vstack((near(centre, n * 7 // 10), near(other, n * 3 // 10))), equal, False, "30 % are in another place."),
     ):
-        found = truth_value(answer, particles, weights, within)
+        found = tasks.truth_value(answer, particles, weights, within)
         require(
             found is right,
             f"{about} It returned {found}; expected {right}. Sum the weights of the particles that are "

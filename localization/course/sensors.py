@@ -6,7 +6,7 @@ from math import atan2, cos, degrees, hypot, inf, isinf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from localization.course.tasks import TRIES, Answer, Rng, expect, numbers, require, task, truth_value
+from localization.course.tasks import TRIES, Answer, Rng, Wrong, expect, numbers, require, task, truth_value
 from worlds.raycast import cast_ray
 
 RING_IN = 9.06
@@ -40,20 +40,14 @@ def step_pose(answer: Answer, rng: Rng) -> None:
         pose, distance, turn = _step(rng)
         x, y, heading = pose
         mistakes = [
-            (
-                (x + distance * cos(heading), y + distance * sin(heading), heading + turn),
-                "While driving, the heading is on average that at half of the turn, not that at the beginning.",
-            ),
-            (
-                (x + distance * cos(heading + turn), y + distance * sin(heading + turn), heading + turn),
-                "While driving, the heading is on average that at half of the turn, not that at the end.",
-            ),
+            ((x + distance * cos(heading), y + distance * sin(heading), heading + turn),
+             "While driving, the heading is on average that at half of the turn, not that at the beginning."),
+            ((x + distance * cos(heading + turn), y + distance * sin(heading + turn), heading + turn),
+             "While driving, the heading is on average that at half of the turn, not that at the end."),
             ((*drive_arc(pose, distance, turn)[:2], heading), "The heading changes by the turn as well."),
             ((*drive_arc(pose, distance, turn)[:2], heading - turn), "A turn to the left is positive."),
-            (
-                (x - distance * sin(heading + turn / 2), y + distance * cos(heading + turn / 2), heading + turn),
-                "Heading 0 is along x: x changes by the cosine, y by the sine.",
-            ),
+            ((x - distance * sin(heading + turn / 2), y + distance * cos(heading + turn / 2), heading + turn),
+             "Heading 0 is along x: x changes by the cosine, y by the sine."),
         ]
         expect(
             answer, (pose, distance, turn), drive_arc(pose, distance, turn), (0.02, 0.02, 1e-6), angles=(2,),
@@ -159,26 +153,16 @@ def range_to_wall(answer: Answer, rng: Rng) -> None:
             found = float(numbers(answer, x, y, direction, wall, shape=()))
             backwards = cast_ray(x, y, -cos(direction), -sin(direction), np.array([wall]))[0]
             hint = "It lies behind the sonar." if not isinf(backwards) else "The ray passes its end."
-            require(
-                found > 1e6,
-                f"The ray from ({x:.1f}, {y:.1f}) in the direction {direction:.3f} does not meet the "
-                f"wall {np.round(wall, 1).tolist()}; expected math.inf, not {found:.4g}. {hint}",
-            )
+            require(found > 1e6, f"The ray from ({x:.1f}, {y:.1f}) in the direction {direction:.3f} does not meet the "
+                                 f"wall {np.round(wall, 1).tolist()}; expected math.inf, not {found:.4g}. {hint}")
         else:
-            expect(
-                answer,
-                (x, y, direction, wall),
-                right,
-                0.01,
-                mistakes=[
-                    (inf, "The ray meets this wall. Are walls parallel to an axis handled?"),
-                    (-right, "Ahead of the sonar a range is positive."),
-                    (
-                        hypot(x - (wall[0] + wall[2]) / 2, y - (wall[1] + wall[3]) / 2),
-                        "That is the distance to its middle.",
-                    ),
-                ],
-            )
+            middle = hypot(x - (wall[0] + wall[2]) / 2, y - (wall[1] + wall[3]) / 2)
+            mistakes = [
+                (inf, "The ray meets this wall. Are walls parallel to an axis handled?"),
+                (-right, "Ahead of the sonar a range is positive."),
+                (middle, "That is the distance to its middle."),
+            ]
+            expect(answer, (x, y, direction, wall), right, 0.01, mistakes=mistakes)
 
 
 @task("02")
@@ -233,11 +217,8 @@ def turn_rate(answer: Answer, rng: Rng) -> None:
     for near in (8.0, 50.0):
         rate = float(numbers(answer, near, 0.0, wanted, shape=()))
         require(abs(rate) <= 30.0 + 1e-9, f"{near:.0f} in from the wall it turns by {rate:.3g} deg/s: limit it to ±30.")
-        require(
-            rate * (wanted - near) > 0.0,
-            f"{near:.0f} in from the wall, {wanted:.0f} wanted, it turns by {rate:.3g} "
-            "deg/s. The wall is on the right; a turn to the left is positive.",
-        )
+        require(rate * (wanted - near) > 0.0, f"{near:.0f} in from the wall, {wanted:.0f} wanted, it turns by "
+                f"{rate:.3g} deg/s. The wall is on the right; a turn to the left is positive.")  # fmt: skip
     for begin in rng.uniform(12, 32, 4).tolist():
         distance, angle = begin, 0.0
         for _ in range(300):
@@ -265,11 +246,8 @@ def is_blocked(answer: Answer, rng: Rng) -> None:
         right = number in (15, 0, 1)
         found = truth_value(answer, sonars, limit)
         where = "all sonars" if number is None else f"sonar {number} at {sonars[number]} in and all others"
-        require(
-            found is right,
-            f"With {where} at 40 in or more, limit {limit:.0f} in, it returned {found}. "
-            "Ahead are the sonars 15, 0 and 1.",
-        )
+        require(found is right, f"With {where} at 40 in or more, limit {limit:.0f} in, it returned {found}. "
+                                "Ahead are the sonars 15, 0 and 1.")  # fmt: skip
 
 
 HALF_CONE_RAD = radians(12.5)
@@ -332,10 +310,8 @@ def fit_std(answer: Answer, rng: Rng) -> None:
         (right**2, "These are variances: take the roots."),
         (right / sigma, "Multiply by the noise, sigma."),
         (right / sqrt(sigma), "The covariance is sigma squared times the inverse of A' A."),
-        (
-            sigma / np.sqrt(np.diag(information)),
-            "Invert the matrix, then take its diagonal: the unknowns are correlated.",
-        ),
+        (sigma / np.sqrt(np.diag(information)),
+         "Invert the matrix, then take its diagonal: the unknowns are correlated."),
         (right[::-1], "The scale first, then the drift."),
         (sigma * np.sqrt(np.diag(information)), "More data makes the result more certain: the inverse of A' A."),
     ]
@@ -400,22 +376,14 @@ def inverse_sensor(answer: Answer, rng: Rng) -> None:
         wrong = np.flatnonzero(np.abs(found - right) > 1e-9)
         if len(wrong):
             k = int(wrong[0])
-            where = (
-                "no echo: nothing is learnt"
-                if reading == 255
-                else "outside of the cone"
-                if not inside[k]
-                else "before the arc"
-                if gap[k] < -half
-                else "in the arc"
-                if gap[k] <= half
-                else "behind the arc: nothing is learnt"
-            )
-            require(
-                False,
-                f"reading {reading} in, a cell at {distances[k]:.1f} in and {angles[k]:.3f} rad: it returned "
-                f"{found[k]:.3g}, expected {right[k]:g} ({where}).",
-            )
+            places = (
+                (reading == 255, "no echo: nothing is learnt"), (not inside[k], "outside of the cone"),
+                (gap[k] < -half, "before the arc"), (gap[k] <= half, "in the arc"),
+                (True, "behind the arc: nothing is learnt"),
+            )  # fmt: skip
+            where = next(name for is_there, name in places if is_there)
+            raise Wrong(f"reading {reading} in, a cell at {distances[k]:.1f} in and {angles[k]:.3f} rad: it returned "
+                        f"{found[k]:.3g}, expected {right[k]:g} ({where}).")
 
 
 @task("11", points=2)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -196,6 +196,23 @@ def expect(
             hint = about
             break
     raise Wrong(f"{_shown_call(arguments)} returned {_shown(found)}; expected {_shown(right)}. {hint}".strip())
+
+
+class Part(NamedTuple):
+    """One of two results: the right numbers, and the other arguments of `expect`."""
+
+    right: Any
+    tolerance: Any
+    hint: str
+    mistakes: Mistakes
+
+
+def expect_two(answer: Answer, arguments: tuple[Any, ...], wanted: str, *parts: Part) -> None:
+    """Raise Wrong, with the text `wanted`, unless an answer returns two results, and unless both are right."""
+    result = call(answer, *arguments)
+    require(isinstance(result, (tuple, list)) and len(result) == 2, wanted)
+    for found, (right, tolerance, hint, mistakes) in zip(result, parts, strict=True):
+        expect(lambda *_, found=found: found, arguments, right, tolerance, mistakes=mistakes, hint=hint)
 
 
 def require(condition: object, message: str) -> None:

@@ -18,18 +18,9 @@ import numpy as np
 
 from localization import plot
 from localization.cli.arguments import make_folder
-from localization.experiments import baselines, corridor, disturbed, live, lost, mapping, plan, recorded
+from localization.experiments import baselines, corridor, disturbed, figure_trial, live, lost, mapping, plan, recorded
 from localization.experiments.execution import NO_PICTURES, add_shared, drive, drive_on_cluster, progress
-from localization.experiments.figure_trial import (
-    FIGURES,
-    Figure,
-    FigureSetup,
-    Summary,
-    Track,
-    figure_setup,
-    summarize,
-    typical,
-)
+from localization.experiments.figure_trial import FIGURES, Figure, FigureSetup, Summary, Track
 from localization.filters.belief import difference
 from nclient.common.arguments import Parser
 from nclient.common.process import ExitCode
@@ -123,7 +114,7 @@ def _drive_figures(arguments: Sequence[str]) -> None:
 
 def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
     # 1. Run.
-    setup = figure_setup(figure)
+    setup = figure_trial.figure_setup(figure)
     total = options.seeds * setup.min_steps
     with progress(total, f"figure {figure.name}", "steps") as report:
         if options.cluster:
@@ -132,7 +123,7 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
             result = drive(figure, range(options.seeds), options.jobs, report)
         report(total)
     # 2. Results: JSON, pictures, table.
-    summary = summarize(figure, result.results)
+    summary = figure_trial.summarize(figure, result.results)
     text = json.dumps(summary)
     numbers = options.out / f"figure_{figure.name}.json"
     numbers.write_text(text + "\n", encoding="utf-8")
@@ -171,7 +162,7 @@ def _parser() -> argparse.ArgumentParser:
 def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Path) -> list[Path]:
     """Write the trajectory and the errors of a figure as PNG files into `folder`; return their paths."""
     # Both pictures show the same run, that of the median final error.
-    track = typical(tracks)
+    track = figure_trial.typical(tracks)
     errors_name = figure.errors_figure or f"{figure.name}_errors"
     pictures = {
         folder / f"figure_{figure.name}.png": trajectory(figure, setup, track),

@@ -252,21 +252,10 @@ def _places() -> tuple[Roadmap, Floats]:
     return Roadmap(world.walls, N150.radius_in + MARGIN_IN), free_positions(world)
 
 
-@dataclass(frozen=True, slots=True)
-class _Wheels(Scenario):
-    """A scenario with a given odometry scale."""
-
-    wheel_scale: float = 1.0
-
-    def scale(self, seed: int) -> float:  # noqa: ARG002  that of the scenario is drawn
-        """Return the true distance per counted distance."""
-        return self.wheel_scale
-
-
 def scenario_of(setup: str, wheel_scale: float = 1.0) -> Scenario:
     """Return the simulation of a setup; its filter has the models of `nomad localize`."""
     sonar: RaySonar | ConeSonar = ConeSonar() if setup == "measured" else WIRE_SONAR
-    return _Wheels(setup, setup, sonar, THESIS_ODOMETRY, wheel_scale=wheel_scale)
+    return Scenario(setup, setup, sonar, THESIS_ODOMETRY, mean_scale=wheel_scale)
 
 
 class Sample(NamedTuple):

@@ -28,15 +28,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
-from localization.experiments.figure_trial import (
-    Figure,
-    FigureResult,
-    figure_result,
-    figure_setup,
-    join_results,
-    run,
-    run_compiled,
-)
+from localization.experiments import figure_trial
+from localization.experiments.figure_trial import Figure, FigureResult, join_results, run, run_compiled
 from nclient.common.arguments import add_flag, add_value, whole_number
 from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError, install_command
@@ -278,12 +271,12 @@ def drive_batch(
 
     `tick` is called with the steps done: after each step, in machine code at the end.
     """
-    setup = figure_setup(figure)
+    setup = figure_trial.figure_setup(figure)
     if not is_compiled:
-        return figure_result(run(setup, seeds, tick), figure.filtered)
+        return figure_trial.figure_result(run(setup, seeds, tick), figure.filtered)
     runs = run_compiled(setup, seeds)
     tick(int(runs.steps.sum()))
-    return figure_result(runs, figure.filtered)
+    return figure_trial.figure_result(runs, figure.filtered)
 
 
 def _is_compiled(figure: Figure, seeds: Sequence[int]) -> bool:

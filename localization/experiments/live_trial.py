@@ -74,6 +74,8 @@ class Scenario:
         Random odometry noise, also used by the filter.
     scale_std
         Standard deviation of the odometry scale, drawn for each run and estimated by the filter.
+    mean_scale
+        Mean of the odometry scale, which the filter does not know.
     outlier_fraction
         Fraction of the readings replaced by a random one from 6 to 255 in.
     sonar, method
@@ -89,6 +91,7 @@ class Scenario:
     sonar: RaySonar | ConeSonar
     odometry: OdometryNoise = QUIET
     scale_std: float = 0.0
+    mean_scale: float = 1.0
     outlier_fraction: float = 0.0
     judged_after_in: float = 0.0
     speed_in_s: float = 5.0
@@ -111,7 +114,7 @@ class Scenario:
         """Return the true distance per counted distance in the run of this seed."""
         # Clipped at 4 sigma, so that no seed has a robot outside its scenario.
         draw = float(np.random.default_rng([seed, SCALE]).standard_normal())
-        return 1.0 + self.scale_std * float(np.clip(draw, -4.0, 4.0))
+        return self.mean_scale + self.scale_std * float(np.clip(draw, -4.0, 4.0))
 
     @property
     def constants(self) -> tuple[float, ...]:

@@ -23,26 +23,12 @@ from typing import Final
 
 import numpy as np
 
+from localization.filters import pose_search
 from localization.filters.base import Filter, Place
 from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
-from localization.filters.pose_search import (
-    EVIDENCE_SHARE,
-    LAST_RECORDS,
-    LOWEST_IN,
-    MIN_WEIGHT,
-    NOTHING_IN,
-    RANGE_SPAN_IN,
-    EchoRecord,
-    EchoReplay,
-    PendingSearch,
-    PoseSearch,
-    Prior,
-    SearchRequest,
-    SearchResult,
-    moved,
-)
+from localization.filters.pose_search import LAST_RECORDS, EchoRecord, PoseSearch, SearchRequest, moved
 from localization.filters.range_table import OUTLIER_PROBABILITY
 from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
@@ -132,7 +118,7 @@ class SequentialTest:
 
 def _evidence(reading_in: float, likelihood: float) -> float:
     """Return the evidence of an echo of this likelihood, in nats."""
-    outlier = 1.0 if reading_in >= NOTHING_IN else 1.0 / RANGE_SPAN_IN
+    outlier = 1.0 if reading_in >= pose_search.NOTHING_IN else 1.0 / pose_search.RANGE_SPAN_IN
     return log((1.0 - OUTLIER_PROBABILITY) * likelihood + OUTLIER_PROBABILITY * outlier)
 
 
@@ -190,7 +176,7 @@ class GlobalLocalizer(Filter):
         monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = (),
     ) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
-        self._replay = EchoReplay(measurement, odometry)
+        self._replay = pose_search.EchoReplay(measurement, odometry)
         self._replay.load()
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
         self._poses = poses
@@ -201,7 +187,7 @@ class GlobalLocalizer(Filter):
         self._test: SequentialTest | None = None
         self._reason = "the start is unknown"
         # 1. A request in progress, the records since, and the encoders at its last record.
-        self._pending: PendingSearch | None = None
+        self._pending: pose_search.PendingSearch | None = None
         self._since: list[EchoRecord] = []
         self._requested: Floats = np.zeros(POSE)
         # 2. While lost: the history, the hypotheses at `_requested`, and whether a search and an advance agree.
@@ -213,7 +199,7 @@ class GlobalLocalizer(Filter):
         # 3. The estimate, None while lost; a wide one is where the search begins.
         wide = belief is not None and is_wide(belief)
         self._estimate = None if wide else belief
-        self._prior = Prior(belief.pose, self._encoders) if wide and belief is not None else None
+        self._prior = pose_search.Prior(belief.pose, self._encoders) if wide and belief is not None else None
         if wide:
             self._reason = "the start is too uncertain"
         self._alike: list[Place] = []
@@ -320,8 +306,8 @@ class GlobalLocalizer(Filter):
             belief, result = self._measurement.updated(
                 each.belief, record.sonar, record.turret_offset_rad, record.reading_in, count
             )
-            weight = each.probability * (result.likelihood / likelihood) ** EVIDENCE_SHARE
-            if weight >= ALIKE_WEIGHT * MIN_WEIGHT:
+            weight = each.probability * (result.likelihood / likelihood) ** pose_search.EVIDENCE_SHARE
+            if weight >= ALIKE_WEIGHT * pose_search.MIN_WEIGHT:
                 beside.append(Place(belief, weight))
         self._alike = sorted(beside, key=lambda each: -each.probability)
         if self._alike and self._alike[0].probability > 1.0:
@@ -329,7 +315,7 @@ class GlobalLocalizer(Filter):
 
     def _watch(self, record: EchoRecord, result: UpdateResult) -> None:
         """Monitor the estimate; give it up once it is lost."""
-        if record.reading_in <= LOWEST_IN:
+        if record.reading_in <= pose_search.LOWEST_IN:
             return
         is_limit, likelihood = result.refusal is Refusal.LIMIT, result.likelihood
         self._monitor.add_evidence(likelihood, self._poses.density(record.reading_in), None if is_limit else result)
@@ -387,7 +373,7 @@ class GlobalLocalizer(Filter):
         self._pending, self._since = self._poses.start(request), []
         self._requested, self._is_search = request.records[-1].encoders, request.searches
 
-    def _answer(self) -> SearchResult | None:
+    def _answer(self) -> pose_search.SearchResult | None:
         """Return the answer of a request once."""
         found = self._pending() if self._pending else None
         if found is not None:
@@ -406,7 +392,7 @@ class GlobalLocalizer(Filter):
             return
         self._take(answer)
 
-    def _take(self, answer: SearchResult) -> None:
+    def _take(self, answer: pose_search.SearchResult) -> None:
         """Take hypotheses; the estimate is one that two answers agree upon."""
         before, self._hypotheses = self._hypotheses, answer.hypotheses
         self._turn = None if answer.turn_rad is None else (answer.turn_rad, self._requested.item(2))

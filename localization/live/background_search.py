@@ -29,18 +29,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from localization.filters import compiled
+from localization.filters import compiled, range_table
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
 from localization.filters.global_localization import is_wide
 from localization.filters.pose_search import EchoReplay, PendingSearch, SearchRequest, SearchResult, TableSearch
-from localization.filters.range_table import (
-    RangeTable,
-    build_range_table,
-    expectation,
-    reading_densities,
-    sampled_echoes,
-)
+from localization.filters.range_table import RangeTable
 from localization.filters.registry import FINDER, finder, update_for
 from worlds.compiled import VARIABLE
 
@@ -84,8 +78,8 @@ class BackgroundSearch:
         folder: Path | None = None,
     ) -> None:  # fmt: skip
         self._config, self._waits, self._report, self._folder = config, waits, report, folder or cache_folder()
-        self._densities = reading_densities(
-            *sampled_echoes(config.walls, config.body, config.sonar, config.clearance_in, SAMPLED_PLACES)
+        self._densities = range_table.reading_densities(
+            *range_table.sampled_echoes(config.walls, config.body, config.sonar, config.clearance_in, SAMPLED_PLACES)
         )
         self._pool: ProcessPoolExecutor | None = None
         self._done: Synchronized[float] | None = None
@@ -139,9 +133,9 @@ def load_or_build(config: LocalizationConfig, folder: Path, progress: Callable[[
     with suppress(OSError, ValueError, KeyError, BadZipFile), np.load(path, allow_pickle=False) as stored:
         path.touch()
         cell_in, (origin_in, number, codes, is_known) = float(stored["cell_in"]), (stored[name] for name in _STORED)
-        expect = expectation(origin_in, cell_in, number, config.walls, config.body, config.sonar)
+        expect = range_table.expectation(origin_in, cell_in, number, config.walls, config.body, config.sonar)
         return RangeTable(origin_in, cell_in, number, codes, is_known, expect)
-    table = build_range_table(config.walls, config.body, config.sonar, config.clearance_in, progress)
+    table = range_table.build_range_table(config.walls, config.body, config.sonar, config.clearance_in, progress)
     store(table, path)
     return table
 

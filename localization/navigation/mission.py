@@ -34,17 +34,9 @@ from typing import Any, Final, NamedTuple
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.health import HealthStatus
 from localization.live.sensor_input import Pose
+from localization.navigation import path
 from localization.navigation.control_law import STAND, RecoveryBehavior, VelocityCommand
 from localization.navigation.obstacles import position_std_in
-from localization.navigation.path import (
-    TURNED_RAD,
-    PathFollower,
-    PathSection,
-    TurnProgress,
-    angle_difference,
-    line_between,
-    turn_command,
-)
 from localization.navigation.pilot import (
     Ending,
     Observation,
@@ -319,10 +311,10 @@ class Mission:
             raise MissionFileError("turn: expected heading_deg or by_deg, one of them")
         remaining: Callable[[float], float]
         if by_deg is not None:
-            words, remaining = f"by {by_deg:g} deg", TurnProgress(self._heading_rad, radians(by_deg)).remaining_rad
+            words, remaining = f"by {by_deg:g} deg", path.TurnProgress(self._heading_rad, radians(by_deg)).remaining_rad
         else:
             target_rad = radians(heading_deg or 0.0)
-            words, remaining = f"to {heading_deg:g} deg", partial(angle_difference, second_rad=target_rad)
+            words, remaining = f"to {heading_deg:g} deg", partial(path.angle_difference, second_rad=target_rad)
         return self._run_step("turn", words, lambda: self._turn(remaining), limit_s, retries)
 
     def look(self, seconds: float = RING_S) -> Seen:
@@ -456,10 +448,10 @@ class Mission:
             if self._is_lost:
                 self._recover(self._controller.last.estimate.health.reason)
             remaining = remaining_rad(self._heading_rad)
-            if abs(remaining) <= TURNED_RAD:
+            if abs(remaining) <= path.TURNED_RAD:
                 self._halt()
                 return
-            self._controller.period(turn_command(remaining, self._controller.limits))
+            self._controller.period(path.turn_command(remaining, self._controller.limits))
 
     def _stand(self, seconds: float) -> None:
         until_s = self._controller.clock_s + seconds
@@ -490,8 +482,8 @@ class Mission:
         """Drive straight to the dock until there or in contact; return False if the robot gets lost."""
         pose: Floats = self._controller.last.estimate.pose
         # Straight and without planning, which would keep its distance from the dock.
-        line = line_between((float(pose[0]), float(pose[1])), dock)
-        follower = PathFollower([PathSection((line,))], self._controller.limits.capped(DOCK_IN_S))
+        line = path.line_between((float(pose[0]), float(pose[1])), dock)
+        follower = path.PathFollower([path.PathSection((line,))], self._controller.limits.capped(DOCK_IN_S))
         while not follower.finished and not self._controller.last.state.touching:
             if self._is_lost:
                 break

@@ -42,16 +42,8 @@ from localization.filters.registry import DEFAULT_METHOD
 from localization.live.estimate import Estimate
 from localization.live.run import GroundTruth, Publisher, build_message
 from localization.live.sensor_input import SensorInput
-from localization.navigation import waypoints
-from localization.navigation.control_law import (
-    MODEL_LIMITS,
-    STAND,
-    AxisLimits,
-    BackOff,
-    StateGapLimiter,
-    VelocityCommand,
-    allowed_speed_fraction,
-)
+from localization.navigation import control_law, waypoints
+from localization.navigation.control_law import STAND, VelocityCommand, allowed_speed_fraction
 from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, position_std_in, update_obstacles
 from localization.navigation.path import TURNED_RAD, PathFollower, angle_difference, turn_command, wall_distances
 from localization.navigation.roadmap import MARGINS_IN, NoPathError, PlannedPath, Planner
@@ -217,12 +209,12 @@ class RobotController:
     ) -> None:  # fmt: skip
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
-        self.limits = MODEL_LIMITS[body.name].capped(speed_in_s, waypoints.Speeds().steering_rad_s)
+        self.limits = control_law.MODEL_LIMITS[body.name].capped(speed_in_s, waypoints.Speeds().steering_rad_s)
         self.planner = Planner(walls, body.radius_in)
         self.obstacles = ObstacleTracker(walls, body.sonar_ring_radius_in)
         self.observers: list[Observer] = []
         robot.set_timeout(waypoints.COMMAND_TIMEOUT_S)
-        self._gap_limiter = StateGapLimiter()
+        self._gap_limiter = control_law.StateGapLimiter()
         self._localizer = waypoints.start_localizer(robot, config, belief, method)
         state = robot.refresh()
         self.last = Observation(self._localizer.update(state), state)
@@ -392,7 +384,7 @@ class Pilot:
     """
 
     def __init__(
-        self, planner: Planner, limits: AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
+        self, planner: Planner, limits: control_law.AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
         heading_rad: float | None = None, policy: RetryPolicy | None = None,
     ) -> None:  # fmt: skip
         self._planner, self._limits, self._obstacles = planner, limits, obstacles
@@ -401,7 +393,7 @@ class Pilot:
         self.log = PilotLog()
         self.result: PilotResult | None = None
         self._follower: PathFollower | None = None
-        self._back_off: BackOff | None = None
+        self._back_off: control_law.BackOff | None = None
         self._last_speed_in_s = 1.0
         self._min_margin_in = 0.0
         # Times since which there is no path, or the estimate is uncertain; inf while that is not so.
@@ -602,7 +594,7 @@ class Pilot:
             )
         policy = self.policy
         velocity = -policy.back_off_in_s if is_forward else policy.back_off_in_s
-        self._back_off = BackOff(
+        self._back_off = control_law.BackOff(
             velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s, policy.back_off_in
         )
         return STAND

@@ -500,11 +500,7 @@ class Roadmap:
                 f"no path from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
                 f"{self.radius_in:.1f} in radius"
             )
-        return [
-            line_between(start, inner[START].tolist()),
-            *elements,
-            line_between(inner[GOAL].tolist(), goal),
-        ]
+        return [line_between(start, inner[START].tolist()), *elements, line_between(inner[GOAL].tolist(), goal)]
 
     def require_free(self, points: Sequence[Point]) -> None:
         """Raise NoPathError for the first straight line between points that comes too near to a wall.

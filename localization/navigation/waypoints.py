@@ -20,16 +20,8 @@ from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.run import GroundTruth, Run
 from localization.live.sensor_input import restart_ring
-from localization.navigation.control_law import (
-    STAND,
-    ControlGains,
-    PoseSmoother,
-    RecoveryBehavior,
-    StateGapLimiter,
-    VelocityCommand,
-    slow_for_turn,
-    step_to,
-)
+from localization.navigation import control_law
+from localization.navigation.control_law import STAND, VelocityCommand
 from nclient.errors import NomadError, RobotHeld
 from nclient.robot import Robot
 from nclient.state import RobotState
@@ -52,9 +44,9 @@ class Speeds:
     steering_rad_s: float = 0.5
 
     @property
-    def gains(self) -> ControlGains:
+    def gains(self) -> control_law.ControlGains:
         """The same limits per step of PERIOD_S."""
-        return ControlGains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S)
+        return control_law.ControlGains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S)
 
 
 class Controller(Protocol):
@@ -122,8 +114,8 @@ class Navigator:
             self.passed += 1
         if self.finished:
             return STAND if self._stays else None
-        drho, dtheta = step_to(x, y, heading, goal_x, goal_y, self._gains)
-        drho = slow_for_turn(drho, x, y, heading, goal_x, goal_y, self._gains)
+        drho, dtheta = control_law.step_to(x, y, heading, goal_x, goal_y, self._gains)
+        drho = control_law.slow_for_turn(drho, x, y, heading, goal_x, goal_y, self._gains)
         return VelocityCommand(drho / PERIOD_S, dtheta / PERIOD_S)
 
 
@@ -158,7 +150,7 @@ def start_localizer(
 
 def follow_waypoints(
     robot: Robot, localizer: Localizer, navigator: Controller, wait: Callable[[float], None],
-    smoother: PoseSmoother | None = None, *, turns_turret: bool = False,
+    smoother: control_law.PoseSmoother | None = None, *, turns_turret: bool = False,
 ) -> Generator[NavigationStep, None, None]:  # fmt: skip
     """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
@@ -179,9 +171,9 @@ def follow_waypoints(
     turns_turret : bool
         Turn the turret with the steering, so that every sonar measures every wall.
     """
-    smoother, gap_limiter = smoother or PoseSmoother(0.0), StateGapLimiter()
+    smoother, gap_limiter = smoother or control_law.PoseSmoother(0.0), control_law.StateGapLimiter()
     stands = navigator.finished
-    recovery = RecoveryBehavior(PERIOD_S, ring=localizer.ring)
+    recovery = control_law.RecoveryBehavior(PERIOD_S, ring=localizer.ring)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     with stop_on_exit(robot):

@@ -316,7 +316,8 @@ class Diagnostics:
             self._measure(data, exchanges, interval_s)
             if data.states:
                 self._query_all(data)
-            self._count(data)
+            if self._backend.link is not None:
+                data.link = self._backend.link.counts()
         finally:
             self._robot.disconnect()
         return data
@@ -375,11 +376,6 @@ class Diagnostics:
             self._backend = self._open_session()
             self._robot = Robot(self._backend)
         return self._robot
-
-    def _count(self, data: DiagnosticData) -> None:
-        link = getattr(self._backend, "link", None)
-        if link is not None:
-            data.link = link.counts()
 
 
 MAX_LOST_FRACTION: Final = 0.1

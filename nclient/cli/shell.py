@@ -149,6 +149,8 @@ class StatusPoller:
         self._every_s = every_s
         self._error = ""
         self._enabled = threading.Event()
+        # Start or continue polling; interrupt it.
+        self.begin, self.pause = self._enabled.set, self._enabled.clear
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._poll, name="nomad-shell-poller", daemon=True)
         if every_s:
@@ -158,14 +160,6 @@ class StatusPoller:
         """Return the state in one line, with the last error of polling."""
         state = state_text.format_state(self._session.robot.state)
         return f"{self._error} | last known: {state}" if self._error else state
-
-    def begin(self) -> None:
-        """Start or continue polling."""
-        self._enabled.set()
-
-    def pause(self) -> None:
-        """Interrupt polling."""
-        self._enabled.clear()
 
     def close(self) -> None:
         """End polling, and wait for the thread."""

@@ -29,11 +29,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.stream import ByteStream, Deadline, TcpStream
 
+T = TypeVar("T")
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 LOOPBACK: Final = "127.0.0.1"
 LOOPBACK_NAME: Final = "localhost"
@@ -131,12 +132,12 @@ def parse_listen_address(text: str) -> ListenAddress:
     return ListenAddress(host.strip("[]") or LOOPBACK, int(port))
 
 
-def listen_address_of(option: str) -> Callable[[str], ListenAddress]:
-    """Return the type of an option whose address may be left out: what follows it may be meant as the world."""
+def before_world(option: str, parse: Callable[[str], T]) -> Callable[[str], T]:
+    """Return the type of an option whose value may be left out: what follows it may be meant as the world."""
 
-    def read(text: str) -> ListenAddress:
+    def read(text: str) -> T:
         try:
-            return parse_listen_address(text)
+            return parse(text)
         except argparse.ArgumentTypeError as error:
             raise argparse.ArgumentTypeError(f"{error}; the world goes before {option}") from None
 

@@ -35,6 +35,7 @@ from typing import Any, Final
 from nclient.errors import ConnectionLost, ControlError, NomadError, suggest, version
 from nclient.faults.inject import total
 from nclient.faults.plan import MAX_BYTES, load_plan, parse_plan, plan_text
+from nclient.transports.listener import before_world
 from nserver_emu.control import snapshot
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import runtime_settings
@@ -510,9 +511,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("faults and control")
     group.add_argument("--faults", type=Path, metavar="FILE",
                        help="inject faults by this plan (TOML): bytes lost, late, corrupted or refused, by line")
-    group.add_argument("--control", type=_socket_after_a_world, nargs="?", const=_DEFAULT, metavar="PATH",
-                       help="listen for `nserver ctl` on a Unix socket that only you can open (default: in your "
-                       "runtime folder)")
+    group.add_argument("--control", type=before_world("--control", socket_path), nargs="?", const=_DEFAULT,
+                       metavar="PATH", help="listen for `nserver ctl` on a Unix socket that only you can open "
+                       "(default: in your runtime folder)")
 
 
 def may_have_faults(options: argparse.Namespace) -> bool:
@@ -524,31 +525,20 @@ def may_have_faults(options: argparse.Namespace) -> bool:
 async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """Load the fault plan and open the control socket; yield the lines to print.
 
-    Raises FaultPlanError or ConnectionLost, with a remedy; the daemon is then closed.
+    Raises FaultPlanError or ConnectionLost, with a remedy.
     """
-    try:
-        control = await _open(daemon, options)
-    except NomadError:
-        await daemon.close()
-        raise
-    if control is None:
+    if options.faults:
+        daemon.faults.put(load_plan(options.faults), daemon.lines())
+    if options.control is None:
         yield []
         return
+    path = default_path(os.environ) if options.control == _DEFAULT else options.control
+    control = ControlSocket(path, lambda line: answer_line_in_thread(daemon, line))
+    await control.open()
     try:
         yield [f"listening control {control.path}"]
     finally:
         control.close()
-
-
-async def _open(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | None:
-    if options.faults:
-        daemon.faults.put(load_plan(options.faults), daemon.lines())
-    if options.control is None:
-        return None
-    path = default_path(os.environ) if options.control == _DEFAULT else options.control
-    control = ControlSocket(path, lambda line: answer_line_in_thread(daemon, line))
-    await control.open()
-    return control
 
 
 def socket_path(text: str) -> Path:
@@ -558,10 +548,3 @@ def socket_path(text: str) -> Path:
         wanted = f"a path with a slash or ending in {_SUFFIX}, such as ./nserver{_SUFFIX}"
         raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}")
     return Path(text)
-
-
-def _socket_after_a_world(text: str) -> Path:
-    try:
-        return socket_path(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}; the world goes before --control") from None

@@ -54,6 +54,7 @@ from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.control import snapshot
 from nserver_emu.server.config import SimulationConfig, read_setups
+from nserver_emu.server.connection import end_task
 from nserver_emu.server.handlers import runtime_settings
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
@@ -204,10 +205,7 @@ async def autosaved(file: SaveFile | None, interval_s: float | None) -> AsyncIte
     try:
         yield
     finally:
-        if saving is not None:
-            saving.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await saving
+        await end_task(saving)
 
 
 async def _save_repeatedly(file: SaveFile, interval_s: float) -> None:

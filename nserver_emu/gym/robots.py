@@ -71,9 +71,6 @@ class BatchRobots:
         self.body, self._model = model.body, model
         self._batch = BatchSimulation(world, count, model=model, setup=setup, threads=threads)
 
-    def __len__(self) -> int:
-        return len(self._batch)
-
     def reset(self, mask: BoolArray, starts: FloatArray, seed: int | None) -> None:
         """Reset some robots."""
         self._batch.reset(mask, starts=starts, seed=seed)
@@ -102,9 +99,6 @@ class SimulatedRobots:
         self.body, self._model, self._setup = model.body, model, setup
         self._world, self._count, self._seed = world, count, 0
         self._simulation = Simulation(world)
-
-    def __len__(self) -> int:
-        return self._count
 
     def reset(self, mask: BoolArray, starts: FloatArray, seed: int | None) -> None:
         """Make a new simulation; robots of one world are reset together."""
@@ -161,9 +155,6 @@ class ConnectedRobot:
         self.body = BODIES[self._robot.model.name]
         self._state = self._robot.refresh()
         self._start_s = self._now_s
-
-    def __len__(self) -> int:
-        return 1
 
     @property
     def _now_s(self) -> float:

@@ -28,6 +28,7 @@ from worlds.geometry import FloatArray
 from worlds.io import load_world
 from worlds.rings import Ring
 from worlds.robots import Body
+from worlds.validate import OpenNodes
 from worlds.world import World
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -383,7 +384,7 @@ class TaskRunner:
     ) -> None:
         # A robot at an address drives in a world that is not known.
         world = options.loaded_world()
-        self.task, self.options = task, options
+        self.task, self.options, self._count = task, options, count
         self.robots = options.robots(count, world, is_batch, threads)
         # Robots of one simulation must not touch at their starts.
         self._is_shared = count > 1 and not is_batch
@@ -426,7 +427,7 @@ class TaskRunner:
 
     def _starts(self, rng: np.random.Generator, options: Mapping[str, Any]) -> FloatArray:
         """Return a start (n, 4) for each robot: given, random, or none for a robot at an address."""
-        count, places = len(self.robots), self.task.scene.places_in
+        count, places = self._count, self.task.scene.places_in
         starts = np.zeros((count, 4))
         if "start_m" in options:
             x, y, heading = options["start_m"]
@@ -442,10 +443,10 @@ class TaskRunner:
         chosen: list[int] = []
         apart_in = 2.0 * self.robots.body.radius_in + MARGIN_IN
         for row in rng.permutation(len(places)).tolist():
-            if len(chosen) < len(self.robots) and (np.hypot(*(places[chosen] - places[row]).T) > apart_in).all():
+            if len(chosen) < self._count and (np.hypot(*(places[chosen] - places[row]).T) > apart_in).all():
                 chosen.append(row)
-        if len(chosen) < len(self.robots):
-            raise ValueError(f"the world has room for {len(chosen)} robots at once, expected {len(self.robots)}")
+        if len(chosen) < self._count:
+            raise ValueError(f"the world has room for {len(chosen)} robots at once, expected {self._count}")
         return chosen
 
     def step(self, actions: npt.ArrayLike, is_driving: BoolArray | None = None) -> Outcome:
@@ -505,20 +506,11 @@ def reachable_places(world: World, robots: Robots) -> FloatArray:
     points = np.stack(np.meshgrid(columns, rows), axis=-1)
     clearances = world.clearances(points) - robots.body.radius_in
     is_free = clearances > PASSAGE_IN
-    # 2. Grow from the start over free neighbours until nothing is added.
-    at_column, at_row = np.rint((start - first) / PLACE_SPACING_IN).astype(int)
+    # 2. Flood from the start, which counts as free, over free neighbours.
+    at_column, at_row = np.rint((start - first) / PLACE_SPACING_IN).astype(int).tolist()
+    is_free[at_row, at_column] = True
     is_reached = np.zeros_like(is_free)
-    is_reached[at_row, at_column] = True
-    while True:
-        grown = is_reached.copy()
-        grown[1:] |= is_reached[:-1]
-        grown[:-1] |= is_reached[1:]
-        grown[:, 1:] |= is_reached[:, :-1]
-        grown[:, :-1] |= is_reached[:, 1:]
-        grown &= is_free | is_reached
-        if (grown == is_reached).all():
-            break
-        is_reached = grown
+    is_reached[tuple(OpenNodes(is_free).flood(at_row, at_column).T)] = True
     # 3. Those with room around; the start alone, if there are none.
     roomy = is_reached & (clearances > MARGIN_IN)
     return points[roomy if roomy.any() else is_reached]

@@ -14,8 +14,8 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontext
 from pathlib import Path
 from typing import Final
 
-from nclient.errors import NomadError, require_packages
-from nclient.transports.listener import ListenAddress, listen_address_of, parse_listen_address
+from nclient.errors import require_packages
+from nclient.transports.listener import ListenAddress, before_world, parse_listen_address
 from nserver_emu.ros.topics import Estimates
 from nserver_emu.server.daemon import Daemon
 
@@ -37,7 +37,7 @@ _PACKAGES: Final = ("cyclonedds", "rosbags")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of rosbridge and of ROS 2, each in a group of their own."""
     group = parser.add_argument_group("rosbridge")
-    group.add_argument("--rosbridge", type=listen_address_of("--rosbridge"), nargs="?",
+    group.add_argument("--rosbridge", type=before_world("--rosbridge", parse_listen_address), nargs="?",
                        const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the robots as ROS topics to rosbridge clients; the address with a token is printed "
                        f"on stdout (default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given;"
@@ -126,22 +126,17 @@ async def running_ros(daemon: Daemon, options: argparse.Namespace) -> AsyncItera
     Raises
     ------
     ExtraMissing, TokenFileError, ConnectionLost
-        With a remedy; the daemon is closed before.
+        With a remedy.
     """
     # The world of a real robot is known only if it was named.
     has_map = options.real is None or bool(options.files)
     # What localizers publish to rosbridge goes to ROS 2 as well.
     estimates, lines = Estimates(), []
     async with AsyncExitStack() as opened:
-        try:
-            if options.rosbridge is not None:
-                serving = _rosbridge(daemon, options, estimates, has_map=has_map)
-                lines += await opened.enter_async_context(serving)
-            if options.ros2 is not None:
-                lines += await opened.enter_async_context(_ros2(daemon, options, estimates, has_map=has_map))
-        except NomadError:
-            await daemon.close()
-            raise
+        if options.rosbridge is not None:
+            lines += await opened.enter_async_context(_rosbridge(daemon, options, estimates, has_map=has_map))
+        if options.ros2 is not None:
+            lines += await opened.enter_async_context(_ros2(daemon, options, estimates, has_map=has_map))
         yield lines
 
 

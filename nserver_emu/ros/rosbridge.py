@@ -32,7 +32,7 @@ from aiohttp import WSMsgType, web
 
 from nclient.errors import install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC
-from nclient.transports.listener import LOOPBACK_NAME, is_loopback
+from nclient.transports.listener import LOOPBACK_NAME
 from nserver_emu.ros import topics
 from nserver_emu.ros.topics import Estimates, RobotReader, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
@@ -539,9 +539,6 @@ class Backlog:
 async def serve_rosbridge(server: RosbridgeServer, host: str, port: int) -> AsyncIterator[list[str]]:
     """Serve rosbridge clients; yield the line to print."""
     port = await server.open(host, port)
-    if not is_loopback(host):
-        log.warning("rosbridge is open to the network, unencrypted: all who read its address can drive the robots; "
-                    "ssh -L %d:127.0.0.1:%d forwards a port on loopback to another machine", port, port)
     place = http_port.address(host, port).replace("http", "ws", 1)
     try:
         yield [f"listening rosbridge {place}/?token={server.tokens.act}"]

@@ -33,6 +33,7 @@ questions:
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import socket
 import time
@@ -774,6 +775,14 @@ class FairScheduler:
         taken_s = time.thread_time() - start_s
         job.cpu_s += taken_s
         job.finish_tag_s = self._virtual_s + taken_s
+
+
+async def end_task(task: asyncio.Task[None] | None) -> None:
+    """Cancel a task, and wait for its end; None is none."""
+    if task is not None:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
 
 
 class TokenBucket:

@@ -16,7 +16,7 @@ import logging
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -72,8 +72,8 @@ class ViewerController:
         self._waypoints_received: Counter[int] = Counter()
         """How often they were set, by robot, and that number when its localizer last got them."""
         self._clients: dict[Viewer, ViewerClients] = {}
-        self._worlds_being_read: dict[Viewer, asyncio.Task[bytes]] = {}
-        self._reading: set[asyncio.Task[Answer]] = set()
+        self._reading: dict[asyncio.Task[Answer], Viewer | None] = {}
+        """Answers for which files are read; of a world with its page, which waits for it before it sets another one."""
         self._published: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
         """When the last message of each kind was published of each robot, and its fields."""
         self.localizers = Localizers(daemon, self._send_localizers)
@@ -125,7 +125,7 @@ class ViewerController:
 
     def close(self) -> None:
         """Restore the daemon's own recorder, and drop worlds that are still being read."""
-        for reading in (*self._worlds_being_read.values(), *self._reading):
+        for reading in self._reading:
             reading.cancel()
         self.daemon.recorder = self.traffic_monitor.inner
 
@@ -179,11 +179,15 @@ class ViewerController:
                 self._reset(viewer, message)
             case messages.ControlServer():
                 # The same form as on the control socket, so that both have the same checks and replies.
-                request = json.dumps({"command": message.command, "argument": message.argument})
-                if message.command == WORLD_SET:
-                    self._set_world(viewer, message.id, request)
+                request = json.dumps({"command": message.command, "argument": message.argument}).encode()
+                if message.command != WORLD_SET:
+                    _replier(viewer, message.id)(json.loads(answer_line(self.daemon, request)))
+                elif viewer in self._reading.values():
+                    raise messages.InvalidMessage(f"{WORLD_SET}: the last world is still being read; repeat it after "
+                                                  "its reply")
                 else:
-                    _replier(viewer, message.id)(json.loads(answer_line(self.daemon, request.encode())))
+                    world_set = self._read_world(request)
+                    self._answer_later(viewer, message.id, world_set, "a world of a page", is_world=True)
             case messages.Click():
                 x, y, steer, turret = message.pose
                 if not self.daemon.emulator.pose_requests.answer(message.robot, (x, y, steer, turret)):
@@ -195,14 +199,15 @@ class ViewerController:
                 self.localizers.start(message.robot, message.method, is_lost=message.is_lost, resumes=message.resumes)
                 _replier(viewer, message.id)({"ok": True})
             case messages.Adjust():
-                if self._reading:
+                if None in self._reading.values():
                     raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
                 world = self.daemon.emulator.simulation.world
-                self._answer_in_thread(
-                    viewer, message.id, lambda: adjust_world(message.text or format_world(world), message.lengths)
+                adjusted = asyncio.to_thread(
+                    lambda: adjust_world(message.text or format_world(world), message.lengths)
                 )
+                self._answer_later(viewer, message.id, adjusted, "files for a page")
             case messages.Gallery():
-                self._answer_in_thread(viewer, message.id, shipped_worlds)
+                self._answer_later(viewer, message.id, asyncio.to_thread(shipped_worlds), "files for a page")
             case messages.Kidnap():
                 self.robots(message.robot)
                 self._kidnap(viewer, message)
@@ -252,18 +257,24 @@ class ViewerController:
 
         self.clients(viewer).call(message.robot, message.call, message.args, finish)
 
-    def _answer_in_thread(self, viewer: Viewer, number: int, read: Callable[[], Answer]) -> None:
-        """Send a viewer the answer that a function returns, which reads files in a thread."""
-        reading = asyncio.create_task(asyncio.to_thread(read))
-        self._reading.add(reading)
+    def _answer_later(
+        self, viewer: Viewer, number: int, answer: Coroutine[Any, Any, Answer], place: str, *, is_world: bool = False
+    ) -> None:
+        """Send a viewer an answer for which files are read in a thread; `place` is for the log."""
+        reading = asyncio.create_task(answer)
+        self._reading[reading] = viewer if is_world else None
 
         def finish(reading: asyncio.Task[Answer]) -> None:
-            self._reading.discard(reading)
+            del self._reading[reading]
             if not reading.cancelled():
-                with self.error_boundary.guard("files for a page", viewer.name, self._internal_error(viewer, number)):
+                with self.error_boundary.guard(place, viewer.name, self._internal_error(viewer, number)):
                     _replier(viewer, number)(reading.result())
 
         reading.add_done_callback(finish)
+
+    async def _read_world(self, request: bytes) -> Answer:
+        answer: Answer = json.loads(await answer_line_in_thread(self.daemon, request))
+        return answer
 
     def _kidnap(self, viewer: Viewer, message: messages.Kidnap) -> None:
         """Place a robot, and set its encoders back to what they were: three calls in one turn of the event loop.
@@ -286,21 +297,6 @@ class ViewerController:
             _replier(viewer, message.id)(answer)
 
         clients.call(message.robot, "place_robot", message.pose, restore)
-
-    def _set_world(self, viewer: Viewer, number: int, request: str) -> None:
-        """Replace the world; its file is read in a thread, one at a time for each page."""
-        if viewer in self._worlds_being_read:
-            raise messages.InvalidMessage(f"{WORLD_SET}: the last world is still being read; repeat it after its reply")
-        reading = asyncio.create_task(answer_line_in_thread(self.daemon, request.encode()))
-        self._worlds_being_read[viewer] = reading
-
-        def finish(reading: asyncio.Task[bytes]) -> None:
-            del self._worlds_being_read[viewer]
-            if not reading.cancelled():
-                with self.error_boundary.guard("a world of a page", viewer.name, self._internal_error(viewer, number)):
-                    _replier(viewer, number)(json.loads(reading.result()))
-
-        reading.add_done_callback(finish)
 
     def publish(self, text: str, now: float, only: int | None = None) -> dict[str, Any]:
         """Show a localizer's estimate, or a map that is being learned, on all pages; return the reply with waypoints.

@@ -37,9 +37,11 @@ from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 
 from nclient.errors import ConnectionLost, NomadError
-from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED
+from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
-from nserver_emu.server.connection import FairScheduler, TokenBucket
+from nserver_emu.server.connection import FairScheduler, TokenBucket, end_task
+
+log = logging.getLogger(__name__)
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""
@@ -182,6 +184,8 @@ class HttpAdmission:
 
     def __init__(self, door: AdmissionControl, server: web.Server) -> None:
         self._door, self._server = door, server
+        # A rejected connection is counted and logged there.
+        self.reject = door.reject
         self._silent: set[asyncio.BaseProtocol] = set()
         self._rate_limits: dict[str, TokenBucket] = {}
 
@@ -213,10 +217,6 @@ class HttpAdmission:
         if sum(one == host for one in present) >= limits.per_address:
             return f"there are {limits.per_address} connections to the page from there already (--limit-per-address)"
         return ""
-
-    def reject(self, host: str, reason: str) -> None:
-        """Count and log a rejected connection."""
-        self._door.reject(host, reason)
 
     def keep_record(self, record: logging.LogRecord) -> bool:
         """Filter of HTTP_LOG: bytes that are not HTTP count as a rejected connection, without a traceback."""
@@ -272,6 +272,8 @@ class PageWriter:
     def __init__(self, socket: web.WebSocketResponse, transport: asyncio.Transport, now: float) -> None:
         self._socket = socket
         self._transport = transport
+        # Disconnects at once; closing would wait until everything is received.
+        self.abort = transport.abort
         self._unsent = 0
         self._last_progress_s = now
         transport.set_write_buffer_limits(high=NO_LIMIT)
@@ -292,10 +294,6 @@ class PageWriter:
     async def send(self, text: str) -> None:
         """Send a text message."""
         await self._socket.send_str(text)
-
-    def abort(self) -> None:
-        """Disconnect at once; closing would wait until everything is received."""
-        self._transport.abort()
 
 
 class PageMessages:
@@ -396,7 +394,11 @@ class HttpPort:
                 f"cannot serve {self._title} on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         HTTP_LOG.addFilter(self.admission.keep_record)  # only if something is served: close() removes it
-        return int(self._server.sockets[0].getsockname()[1])
+        port = int(self._server.sockets[0].getsockname()[1])
+        if not is_loopback(host):
+            log.warning("%s is open to the network, unencrypted: all who read its address can drive the robots; "
+                        "ssh -L %d:127.0.0.1:%d forwards its port to another machine", self._title, port, port)
+        return port
 
     def start_clock(self, tick: Callable[[], Awaitable[None]]) -> None:
         """Call a function every PERIOD_S until `close`."""
@@ -436,11 +438,8 @@ class HttpPort:
 
     async def close(self) -> None:
         """Stop serving: the clock, websockets, the port. May be called twice."""
-        if self._clock is not None:
-            self._clock.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._clock
-            self._clock = None
+        await end_task(self._clock)
+        self._clock = None
         closing = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*closing, return_exceptions=True)
         if self._server is not None:

@@ -78,9 +78,9 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -134,8 +134,6 @@ Control = Literal[
 """Control commands of the page: all but those that write files."""
 LocalizationMethod = Literal["ekf", "iekf", "ukf", "smoother", "mcl", "finder", "offsets"]
 """Filters by name: those of `nomad localize --method`. The user's own have names as well (localizers.py)."""
-CALLS: Final = get_args(Call)
-CONTROLS: Final = get_args(Control)
 
 
 class _Message(Struct, tag_field="do", omit_defaults=True):
@@ -309,8 +307,6 @@ def _is_plain(value: object, depth: int) -> bool:
 
 Refusal = Literal["none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate"]
 Trust = Literal["OK", "DEGRADED", "LOST"]
-REFUSALS: Final = get_args(Refusal)
-TRUSTS: Final = get_args(Trust)
 MAX_ECHOES: Final = 64
 MAX_PLACES: Final = 20
 MAX_WALLS: Final = 500
@@ -451,6 +447,8 @@ class TrafficMonitor:
 
     def __init__(self, inner: TrafficRecorder, wire_state_of: WireStateOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
+        self.record_step, self.record_pace = inner.record_step, inner.record_pace
+        self.record_change, self.close = inner.record_change, inner.close
         self.watched = False
         """True while a page watches."""
         self.missed = 0
@@ -467,22 +465,6 @@ class TrafficMonitor:
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """Return the recorder of a connection."""
         return _ConnectionTraffic(self, name, line, model, self.inner.open(name, line, model, robot_id))
-
-    def record_step(self, dt_s: float) -> None:
-        """Pass on a step of simulated time."""
-        self.inner.record_step(dt_s)
-
-    def record_pace(self, factor: float | None, paused: bool) -> None:
-        """Pass on a change of pace."""
-        self.inner.record_pace(factor, paused)
-
-    def record_change(self, what: Mapping[str, Any]) -> None:
-        """Pass on a change of the simulation."""
-        self.inner.record_change(what)
-
-    def close(self) -> None:
-        """Close the inner recorder."""
-        self.inner.close()
 
     @property
     def is_full(self) -> bool:

@@ -14,12 +14,12 @@ import logging
 import sys
 import webbrowser
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from nclient.errors import NomadError, require_packages
-from nclient.transports.listener import ListenAddress, listen_address_of
+from nclient.errors import require_packages
+from nclient.transports.listener import ListenAddress, before_world, parse_listen_address
 from nserver_emu.server.config import ROOM_AHEAD_IN, has_room_ahead
 from nserver_emu.server.daemon import Daemon
 from worlds.world import StartPose
@@ -35,7 +35,7 @@ DEFAULT_PORT: Final = 7080
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the page's options, in a group of their own."""
     group = parser.add_argument_group("page")
-    group.add_argument("--viewer", type=listen_address_of("--viewer"), nargs="?",
+    group.add_argument("--viewer", type=before_world("--viewer", parse_listen_address), nargs="?",
                        const=ListenAddress(port=DEFAULT_PORT), metavar="PORT",
                        help=f"serve the page for the browser; its address with a token is printed on stdout "
                        f"(default: port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST is given; "
@@ -73,40 +73,34 @@ async def running_viewer(daemon: Daemon, options: argparse.Namespace) -> AsyncIt
     Raises
     ------
     ExtraMissing, TokenFileError, ConnectionLost
-        With a remedy; the daemon is closed before.
+        With a remedy.
     """
     if options.viewer is None:
         yield []
         return
-    async with AsyncExitStack() as open_page:
-        try:
-            require_packages("--viewer", "viewer", "aiohttp")
-            from nserver_emu.viewer.classroom import write_links
-            from nserver_emu.viewer.http_port import address, load_tokens
-            from nserver_emu.viewer.server import ViewerServer, serve_viewer
+    require_packages("--viewer", "viewer", "aiohttp")
+    from nserver_emu.viewer.classroom import write_links
+    from nserver_emu.viewer.http_port import address, load_tokens
+    from nserver_emu.viewer.server import ViewerServer, serve_viewer
 
-            token_file = options.viewer_token_file
-            tokens = None if token_file is None else load_tokens(token_file)
-            host, port = options.viewer
-            students = require_robots(options, daemon)
-            server = ViewerServer(daemon, tokens, students)
-            server.controller.localizers.model_file = options.model_file
-            server.controller.localizers.own_methods = tuple(options.method)
-            lines = await open_page.enter_async_context(serve_viewer(server, host, port))
-            if options.localize:
-                server.controller.localizers.start_all()
-            if options.open_browser:
-                # In a thread: some browsers return only when they are closed. Without one, the address is printed.
-                asyncio.get_running_loop().run_in_executor(None, webbrowser.open, lines[0].split()[-1])
-            if students:
-                page = lines[0].split()[-1].partition("/?")[0]
-                program = address(options.bind, daemon.emulator.port).replace("http:", "nserver:")
-                file = write_links(options.class_file, students, page, program)
-                print(f"nserver: links of {len(students)} students are in {file}; the teacher opens the address below",
-                      file=sys.stderr)
-        except NomadError:
-            await daemon.close()
-            raise
+    token_file = options.viewer_token_file
+    tokens = None if token_file is None else load_tokens(token_file)
+    students = require_robots(options, daemon)
+    server = ViewerServer(daemon, tokens, students)
+    server.controller.localizers.model_file = options.model_file
+    server.controller.localizers.own_methods = tuple(options.method)
+    async with serve_viewer(server, *options.viewer) as lines:
+        if options.localize:
+            server.controller.localizers.start_all()
+        if options.open_browser:
+            # In a thread: some browsers return only when they are closed. Without one, the address is printed.
+            asyncio.get_running_loop().run_in_executor(None, webbrowser.open, lines[0].split()[-1])
+        if students:
+            page = lines[0].split()[-1].partition("/?")[0]
+            program = address(options.bind, daemon.emulator.port).replace("http:", "nserver:")
+            file = write_links(options.class_file, students, page, program)
+            print(f"nserver: links of {len(students)} students are in {file}; the teacher opens the address below",
+                  file=sys.stderr)
         yield lines
 
 

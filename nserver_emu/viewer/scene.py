@@ -384,7 +384,7 @@ class Viewer:
     name : name in logs and for other viewers.
     joined_at : number of the newest picture when the page was opened.
     on_message : called when a message is waiting.
-    latest : number of the latest picture sent; `drawn`: of the latest one drawn; `sent`: how many were sent.
+    latest : number of the latest picture sent; `drawn`: of the latest one drawn.
     traffic, laser : True if it wants traffic rows, laser points; `laser_robot`: of this robot, None for all.
     dropped : number of messages dropped since the last message about it.
     """
@@ -398,7 +398,6 @@ class Viewer:
         self.on_message: Callable[[], object] = lambda: None
         self.latest = 0
         self.drawn = 0
-        self.sent = 0
         self.traffic = False
         self.laser = False
         self.laser_robot: int | None = None
@@ -434,7 +433,6 @@ class Viewer:
     def mark_sent(self, frame: int) -> None:
         """Record that this picture was sent."""
         self.latest = frame
-        self.sent += 1
         self._undrawn.append(frame)
 
     def mark_drawn(self, frame: int) -> None:

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 from aiohttp import WSMsgType, web
 
-from nclient.transports.listener import LOOPBACK_NAME, is_loopback, is_same_machine
+from nclient.transports.listener import LOOPBACK_NAME, is_same_machine
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import http_port
 from nserver_emu.viewer.classroom import TEACHER, Student
@@ -239,9 +239,6 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 async def serve_viewer(server: ViewerServer, host: str, port: int) -> AsyncIterator[list[str]]:
     """Serve the page; yield the line to print."""
     port = await server.open(host, port)
-    if not is_loopback(host):
-        log.warning("the page is open to the network, unencrypted: all who read its address can drive the robots; "
-                    "ssh -L %d:127.0.0.1:%d forwards a page on loopback to another machine", port, port)
     try:
         yield [f"listening viewer {http_port.address(host, port)}/?token={server.token}"]
     finally:

@@ -12,6 +12,8 @@ arm_mv replies at once, arm_zr when both axes are at 0 regardless of its overrid
 
 from __future__ import annotations
 
+from functools import partial
+
 from nclient.protocol.client_state import READ, RESTART, RING_PACKET, pack_ring
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.replies import Reply
@@ -19,21 +21,6 @@ from nserver_emu.server.graphics import Figure, Utterance
 from nserver_emu.server.server_state import ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.axis import Arm, Command
-
-
-def draw_robot(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Draw a robot with its steering and turret."""
-    return _draw(server, Figure.ROBOT, args)
-
-
-def draw_line(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Draw a line between two points."""
-    return _draw(server, Figure.LINE, args)
-
-
-def draw_arc(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
-    """Draw part of the ellipse in a box."""
-    return _draw(server, Figure.ARC, args)
 
 
 def refresh(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
@@ -45,10 +32,18 @@ def refresh(_server: ServerState, _context: ConnectionContext, _args: tuple[int,
 REFRESHERS = {name: refresh for name in BY_NAME if name.startswith("refresh_")}
 
 
-def _draw(server: ServerState, figure: Figure, args: tuple[int, ...]) -> Reply:
+def _draw(server: ServerState, _context: ConnectionContext, args: tuple[int, ...], figure: Figure) -> Reply:
     *numbers, mode = args
     server.graphics.draw(figure, tuple(numbers), mode, server.allowed.graphics)
     return done()
+
+
+draw_robot = partial(_draw, figure=Figure.ROBOT)
+"""Draw a robot with its steering and turret."""
+draw_line = partial(_draw, figure=Figure.LINE)
+"""Draw a line between two points."""
+draw_arc = partial(_draw, figure=Figure.ARC)
+"""Draw part of the ellipse in a box."""
 
 
 # Speech and user packets.

@@ -8,6 +8,7 @@ compass and laser); a setting that no robot has is ERROR 2.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import LINES, Position, clamp_word, rad_from_tenths, wrap_word
@@ -193,7 +194,9 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
 # Bumpers and sonars.
 
 
-def _reading(server: ServerState, context: ConnectionContext, sensor: server_state.StateSensor) -> Reply:
+def _reading(
+    server: ServerState, context: ConnectionContext, _args: tuple[int, ...], sensor: server_state.StateSensor
+) -> Reply:
     """Return all readings of a sensor regardless of the mask, which selects the stamps only."""
     robot, now_s = server.robot_of(context), server.simulation.time_s
     values = sensor.values(robot)
@@ -204,9 +207,8 @@ def _reading(server: ServerState, context: ConnectionContext, sensor: server_sta
     return Reply(sensor.kind, slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
 
-def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Return the bumpers."""
-    return _reading(server, context, server_state.BUMPER)
+get_bp = partial(_reading, sensor=server_state.BUMPER)
+"""Return the bumpers."""
 
 
 def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> None:
@@ -215,9 +217,8 @@ def conf_sn(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     server.robot_of(context).configure_sonars(rate, tuple(order))
 
 
-def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Return all 16 sonars regardless of the mask."""
-    return _reading(server, context, server_state.SONAR)
+get_sn = partial(_reading, sensor=server_state.SONAR)
+"""Return all 16 sonars regardless of the mask."""
 
 
 def conf_ser(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> None:
@@ -239,9 +240,8 @@ def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     return None
 
 
-def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Return all 16 infrareds regardless of the mask."""
-    return _reading(server, context, server_state.INFRARED)
+get_ir = partial(_reading, sensor=server_state.INFRARED)
+"""Return all 16 infrareds regardless of the mask."""
 
 
 # Compass.
@@ -264,9 +264,8 @@ def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     return None
 
 
-def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
-    """Return the turret's direction of the last compass reading."""
-    return _reading(server, context, server_state.COMPASS)
+get_cp = partial(_reading, sensor=server_state.COMPASS)
+"""Return the turret's direction of the last compass reading."""
 
 
 # Laser.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
@@ -16,13 +16,13 @@ from nserver_emu.viewer.http_port import Access
 from nserver_emu.viewer.messages import (
     MAX_PLACES,
     MAX_REASON,
-    REFUSALS,
     STALE_S,
-    TRUSTS,
     InvalidMessage,
+    Trust,
     parse_estimate,
     parse_published,
 )
+from nserver_emu.viewer.messages import Refusal as RefusalName
 from nserver_emu.viewer.scene import Broadcaster, SceneHistory
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
@@ -36,8 +36,8 @@ GOOD: dict[str, Any] = {
 
 
 def test_refusals_have_the_filter_s_own_names() -> None:
-    assert [rejection_reason.name.lower() for rejection_reason in Refusal] == list(REFUSALS)
-    assert [trust.value for trust in HealthStatus] == list(TRUSTS)
+    assert [rejection_reason.name.lower() for rejection_reason in Refusal] == list(get_args(RefusalName))
+    assert [trust.value for trust in HealthStatus] == list(get_args(Trust))
 
 
 def test_what_is_right_comes_through() -> None:

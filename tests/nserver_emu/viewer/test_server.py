@@ -128,10 +128,10 @@ async def test_a_slow_viewer_gets_pictures_again_after_catching_up() -> None:
         async with asyncio.timeout(5):
             while not viewer.is_behind:
                 await asyncio.sleep(0.02)
-        held = viewer.sent
+        held = viewer.latest
         await asyncio.sleep(0.3)
-        assert viewer.sent == held
-        await page.until(lambda message: message["type"] == "picture" and message["frame"] > viewer.sent)
+        assert viewer.latest == held
+        await page.until(lambda message: message["type"] == "picture" and message["frame"] > viewer.latest)
 
 
 async def test_a_watcher_may_do_nothing_else() -> None:
