@@ -311,11 +311,9 @@ def _update(options: argparse.Namespace) -> int:
         # 2. The walls of the drive.
         with map_learn.page_of(options) as page:
             recordings, _ = map_learn.recordings_of(options, options.out or Path("update.toml"), page)
-        learner = map_learn.learner_of(options, map_learn.read_source(options, recordings))
+        source = map_learn.read_source(options, recordings)
         with show_seconds("learning the walls of the drive"):
-            while not learner.is_complete:
-                learner.advance()
-            learner.finish()
+            learner, _ = map_learn.learn_drive(options, source)
         # 3. The differences.
         start = start_pose(world, options.start)
         found = compare(world, learner.estimate, start, learner.rest, learner.turret_rad)

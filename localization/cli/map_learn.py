@@ -23,7 +23,13 @@ from urllib.parse import quote
 from localization.cli import arguments
 from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar, building_sonar, cone_sonar
-from localization.live.assumptions import BUILDING_SETUP, resolve_body, resolve_robot_model, sonar_model_of_address
+from localization.live.assumptions import (
+    BUILDING_SETUP,
+    resolve_body,
+    resolve_robot_model,
+    setup_of,
+    sonar_model_of_address,
+)
 from localization.live.run import GroundTruth, Publisher
 from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
@@ -54,6 +60,8 @@ SONARS: Final[Mapping[str, Callable[[Ring], ConeSonar]]] = MappingProxyType(
     {"rays": cone_sonar, "cones": cone_sonar, BUILDING_SETUP: building_sonar}
 )
 """Limits and noise of the readings by --sonars."""
+PLANE_ROUGHNESS_IN = 0.8
+"""Of walls of a building without levels: pieces of a real wall differ by 40 mm, doors stand back."""
 PRINT_S = 5.0
 """Seconds of the robot's clock between two lines of progress."""
 SPEED_IN_S = 6.0
@@ -109,7 +117,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--roughness", type=arguments.parse_positive, metavar="IN",
         help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}; with --sonars "
-             f"{BUILDING_SETUP} walls have levels instead, {LEVEL_ROUGHNESS_IN} rough each)",
+             f"{BUILDING_SETUP} walls have levels instead, {LEVEL_ROUGHNESS_IN} rough, or {PLANE_ROUGHNESS_IN} if those "
+             "make no map)",
     )  # fmt: skip
     parser.add_argument(
         "--sonars", choices=SONARS,
@@ -179,6 +188,9 @@ def recordings_of(
 ) -> tuple[list[Path], ExitCode]:
     """Return the recordings of --from, or those of a drive now, beside `out`; and how the drive ended."""
     if options.recording is None:
+        address = address_or_default(options.address)
+        if options.sonars is None and (setup_of(address) or {}).get("base") == BUILDING_SETUP:
+            options.sonars = BUILDING_SETUP
         return _drive(options, out, page)
     if options.address or options.resume or options.waypoints or options.record or options.geofence or (
         options.drive != DRIVES[0]
@@ -220,22 +232,33 @@ def read_source(options: argparse.Namespace, recordings: list[Path]) -> Source:
     return Source(log, body, SONARS[options.sonars or "cones"](body.ring))
 
 
-def learner_of(options: argparse.Namespace, source: Source) -> MapLearner:
-    """Return the estimator of a drive."""
-    return MapLearner(
-        source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=options.roughness,
-        scale_stds=options.scale_std,
-    )
+def learn_drive(options: argparse.Namespace, source: Source) -> tuple[MapLearner, LearnedMap]:
+    """Return the estimator of a drive, after its end, and the map.
+
+    In a building, where --roughness does not say what walls are, they have levels. Walls that make no map that holds
+    together are taken for planes, rough by PLANE_ROUGHNESS_IN; if those make none either, the map is that with levels.
+    """
+    by_default = options.roughness is None and options.sonars == BUILDING_SETUP
+    found: list[tuple[MapLearner, LearnedMap]] = []
+    for roughness_in in (options.roughness, PLANE_ROUGHNESS_IN) if by_default else (options.roughness,):
+        learner = MapLearner(
+            source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in,
+            scale_stds=options.scale_std,
+        )
+        while not learner.is_complete:
+            learner.advance()
+        learner.finish()
+        unexplored = _unexplored(learner.estimate, source.body)
+        found.append((learner, describe(learner.estimate, learner.turret_rad, learner.rest, unexplored)))
+        if not found[-1][1].reason_to_refuse():
+            return found[-1]
+    return found[0]
 
 
 def _learn(options: argparse.Namespace, source: Source, recordings: list[Path], page: MapPublisher | None) -> ExitCode:
     """Learn the map of a drive, write the files and print the result."""
-    learner = learner_of(options, source)
     with show_seconds("learning the map"):
-        while not learner.is_complete:
-            learner.advance()
-        learner.finish()
-        found = describe(learner.estimate, learner.turret_rad, learner.rest, _unexplored(learner.estimate, source.body))
+        learner, found = learn_drive(options, source)
     # The picture also shows why a map is refused.
     if options.picture is not None:
         draw_learned(options.picture, found, learner.estimate)

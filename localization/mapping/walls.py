@@ -77,6 +77,8 @@ MAX_BOX_IN: Final = 40.0
 """Longest side of a box: a longer wall is one of a room, or of a part of it that was not entered."""
 SAME_CORNER_IN: Final = 2.5
 """Ends of walls and points nearer than this are one corner of a box."""
+MIN_BOX_SINE: Final = 0.7
+"""Sides of a box meet at 45 to 135 degrees: posts along a wall make none."""
 MAX_SKEW_IN: Final = 4.0
 """Distance of the fourth corner of a box from where a parallelogram has it."""
 MIN_SIDES: Final = 3
@@ -690,6 +692,10 @@ def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outlin
     # 2. Two sides that meet, and the fourth corner.
     found: dict[tuple[int, ...], Outline] = {}
     for a, b, c in _meeting([*walls, *(side for side in spans if side not in walls)]):
+        one, other = corners[a] - corners[b], corners[c] - corners[b]
+        sizes = np.hypot(*one), np.hypot(*other)
+        if max(sizes) > MAX_BOX_IN or abs(one[0] * other[1] - one[1] * other[0]) < MIN_BOX_SINE * sizes[0] * sizes[1]:
+            continue
         away = np.hypot(*(corners - (corners[a] + corners[c] - corners[b])).T)
         for d in np.flatnonzero(away <= MAX_SKEW_IN).tolist():
             around = [(min(pair), max(pair)) for pair in pairwise((a, b, c, d, a))]

@@ -5,12 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from localization.experiments import __main__ as experiments
 from localization.experiments.corridor import degraded, read_corridor
 from localization.filters.base import THESIS_ODOMETRY
 from localization.filters.sonar_cone import building_sonar
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import drive_of_rows
 from localization.mapping.output import LearnedMap, describe
+from nclient.cli.main import main as nomad
+from worlds.io import load_world
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "udacity_corridor"
 pytestmark = pytest.mark.skipif(not DATA.exists(), reason="needs the data of docs/real-data.md")
@@ -49,3 +52,13 @@ def test_corridor_has_two_parallel_walls_at_its_width(seed: int) -> None:
     # Door posts.
     assert len(found.points) >= 3
     assert found.reason_to_refuse() == ""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("roughness", [(), ("--roughness", "0.8")])
+def test_walls_whose_levels_make_no_map_are_planes(tmp_path: Path, roughness: tuple[str, ...]) -> None:
+    assert experiments.main(["corridor", "--data", str(DATA), "--seeds", "1", "--export", str(tmp_path)]) == 0
+    source = ["--from", str(tmp_path / "log.csv"), "--model-file", str(tmp_path / "robot.toml")]
+    out = tmp_path / f"{len(roughness)}.toml"
+    assert nomad(["map", "learn", *source, "--sonars", "building", *roughness, "--out", str(out)]) == 0
+    assert len(load_world(out).inner_walls) >= 2

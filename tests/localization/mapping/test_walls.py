@@ -323,6 +323,19 @@ def test_corners_between_which_no_sound_passes_are_a_closed_outline(
     assert len(find_outlines(found, pieces)) == outlines
 
 
+def test_points_in_a_row_make_no_box(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, first = estimate.copy(), len(estimate.state.points)
+    row = [(20.0, 100.0), (30.0, 101.0), (40.0, 100.0), (50.0, 101.0)]
+    for point in row:
+        found.add_point(np.array(point))
+    spans = [
+        walls.Span(first + one, first + other, np.array((*row[one], *row[other])), 9)
+        for one in range(4) for other in range(one)
+    ]  # fmt: skip
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: spans)
+    assert find_outlines(found, extract_walls(estimate)) == []
+
+
 def test_box_is_an_obstacle_of_the_world(estimate: MapEstimate, tmp_path: Path) -> None:
     found = describe(estimate)
     corners = np.array(BOX)
