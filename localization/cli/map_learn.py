@@ -117,8 +117,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--roughness", type=arguments.parse_positive, metavar="IN",
         help=f"standard deviation of walls from straight lines in inches (default: {ROUGHNESS_IN}; with --sonars "
-             f"{BUILDING_SETUP} walls have levels instead, {LEVEL_ROUGHNESS_IN} rough, or {PLANE_ROUGHNESS_IN} if those "
-             "make no map)",
+             f"{BUILDING_SETUP} walls have levels instead, {LEVEL_ROUGHNESS_IN} rough, or {PLANE_ROUGHNESS_IN} if "
+             "those make no map)",
     )  # fmt: skip
     parser.add_argument(
         "--sonars", choices=SONARS,
