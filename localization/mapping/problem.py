@@ -80,7 +80,7 @@ MIN_GAIN: Final = 0.05
 
 
 class Reflection(NamedTuple):
-    """How walls reflect.
+    """Reflection of sound by walls.
 
     Attributes
     ----------
