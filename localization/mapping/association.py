@@ -236,10 +236,6 @@ class MapEstimate:
         """Return the echoes that a feature explains."""
         return np.flatnonzero(self.assignment.feature == feature)
 
-    def feet_of(self, wall: int, echoes: Indices) -> Floats:
-        """Return the coordinates along a wall at which those of some echoes within ROBUST_LIMIT were reflected."""
-        return self._feet_and_sides(wall, echoes)[0]
-
     def _feet_and_sides(self, wall: int, echoes: Indices) -> tuple[Floats, Floats]:
         """Return coordinates along a wall at which echoes within ROBUST_LIMIT were reflected, and from which side."""
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
@@ -494,9 +490,8 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
-    points, faces = _inner_corners(estimate)
-    np.logical_or.at(hidden := np.zeros((len(estimate.state.points), len(echoes)), np.bool_), points, is_back.T[faces])
-    residual[:, len(walls) :][hidden.T] = np.inf
+    for point, face in zip(*_inner_corners(estimate), strict=True):
+        residual[is_back[:, face], len(walls) + point] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf

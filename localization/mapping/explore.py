@@ -35,7 +35,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
-from localization.mapping.live import PASSED_IN, LiveMapper, passed, walls_and_posts
+from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.problem import sensors_at
 from localization.mapping.survey import REVERSE_RAD, Geofence, Point
 from localization.mapping.walls import (
@@ -64,6 +64,8 @@ SHORTENED: Final = 0.95
 """Of the range, so far the sector is free."""
 CLEAR_IN: Final = 7.0
 """Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
+PASSED_IN: Final = 1.5
+"""Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
 lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""

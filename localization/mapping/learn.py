@@ -4,8 +4,8 @@
         extend by odometry --> headings after turns --> associate --> optimize
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
-        join what was not recognized; births from all echoes; join, merge, swallow, absorb, prune; tie points to walls;
-        optimize
+        join what was not recognized; births from all echoes; part, join, merge, split, swallow, absorb, prune; tie
+        points to walls; optimize
 
 Revision makes the map as simple as its echoes allow. Each change is tried, optimized and reverted unless the total
 cost, with a penalty for each feature, falls:

@@ -56,8 +56,6 @@ CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
 MAX_MISFIT: Final = 0.8
 """Misfit of a sound map: 0.6 is usual with smooth walls, 1 and more with a wrong wall or a wrong turn."""
-PASSED_IN: Final = 1.5
-"""Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 POST_IN: Final = 0.5
 """Half length of the segment that stands for a point."""
 

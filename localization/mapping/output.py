@@ -349,14 +349,14 @@ def describe(
     # 2. Walls that are known well enough.
     highest = highest_std_in(estimate)
     is_known = [wall.std_in <= highest for wall in turned]
-    known = tuple(wall for wall in turned if wall.std_in <= highest)
+    known = tuple(wall for wall, is_written in zip(turned, is_known, strict=True) if is_written)
+    uncertain = tuple(wall for wall, is_written in zip(turned, is_known, strict=True) if not is_written)
     # 3. Boxes of which all walls are.
     numbers = np.cumsum(is_known) - 1
     outlines = tuple(
         Outline(rotate(outline.corners, np.full(4, -turn)), tuple(int(numbers[row]) for row in outline.walls))
         for outline in find_outlines(estimate, walls) if all(is_known[row] for row in outline.walls)
     )  # fmt: skip
-    uncertain = tuple(wall for wall in turned if wall.std_in > highest)
     return LearnedMap(
         known, points, path, calibration_of(estimate), quality_of(estimate, walls).turned(-turn), turret_rad, rest,
         unexplored, uncertain, outlines,

@@ -10,6 +10,7 @@
     range        reading - offsets - |n . s - offset - level|  or  - |point - s|                1 per echo
     bearing      direction of the reflector - axis of the cone, a weak bound of the heading     1 per echo
     tie          n . point - offset, of a corner on a wall                                      1 per tie
+    right angle  angle - nearest axis of the building, an unknown that is eliminated            1 per wall
     surface      level - exp(-d / length) (level of the cell before, d inches before)           1 per level
     prior        parameters, and the first pose, which fixes the frame
 
@@ -73,6 +74,7 @@ RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
 than the robust limit counts hardly. A robot that turns by a radian loses its heading by 6 degrees, and gets it back
 from walls; without this the directions of rooms would be known only by what is seen through their doors."""
 AXES_STEPS: Final = 8
+"""Steps of reweighting from the direction of one wall to the axes that cost least."""
 _FRAME_INFORMATION: Final = 1e8
 """Weight of the first pose: fixed."""
 MIN_GAIN: Final = 0.05

@@ -13,7 +13,7 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
@@ -692,35 +692,46 @@ def find_outlines(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Outlin
     # 2. Two sides that meet, and the fourth corner.
     found: dict[tuple[int, ...], Outline] = {}
     for a, b, c in _meeting([*walls, *(side for side in spans if side not in walls)]):
-        one, other = corners[a] - corners[b], corners[c] - corners[b]
-        sizes = np.hypot(*one), np.hypot(*other)
-        if max(sizes) > MAX_BOX_IN or abs(one[0] * other[1] - one[1] * other[0]) < MIN_BOX_SINE * sizes[0] * sizes[1]:
-            continue
-        away = np.hypot(*(corners - (corners[a] + corners[c] - corners[b])).T)
-        for d in np.flatnonzero(away <= MAX_SKEW_IN).tolist():
+        for d in _fourth_corners(corners, a, b, c):
             around = [(min(pair), max(pair)) for pair in pairwise((a, b, c, d, a))]
-            own = tuple(walls[side] for side in around if side in walls)
-            own_spans = [spans[side] for side in around if side in spans]
-            known = sum(side in walls or (side in spans and spans[side].is_wall) for side in around)
-            is_silent = len(own_spans) == len(around) and sum(span.stopped for span in own_spans) >= MIN_STOPPED
-            place = corners[[a, b, c, d]]
-            if len({a, b, c, d}) < 4 or not (known >= MIN_SIDES or is_silent) or tuple(sorted((a, b, c, d))) in found:
-                continue
-            if not _is_entered(place, paths) and all(_is_outside(estimate, pieces[row], place) for row in own):
+            place, own = corners[[a, b, c, d]], tuple(walls[side] for side in around if side in walls)
+            is_new = tuple(sorted((a, b, c, d))) not in found
+            if is_new and _is_known(around, walls, spans) and not _is_entered(place, paths) and all(
+                _is_outside(estimate, pieces[row], place) for row in own
+            ):
                 found[tuple(sorted((a, b, c, d)))] = Outline(place, own)
     return list(found.values())
 
 
+def _fourth_corners(corners: Floats, a: int, b: int, c: int) -> list[int]:
+    """Return the corners near to where a parallelogram of the sides a b and b c has its fourth one."""
+    one, other = corners[a] - corners[b], corners[c] - corners[b]
+    sizes = np.hypot(*one), np.hypot(*other)
+    if max(sizes) > MAX_BOX_IN or abs(one[0] * other[1] - one[1] * other[0]) < MIN_BOX_SINE * sizes[0] * sizes[1]:
+        return []
+    away = np.hypot(*(corners - (corners[a] + corners[c] - corners[b])).T)
+    return [d for d in np.flatnonzero(away <= MAX_SKEW_IN).tolist() if d not in {a, b, c}]
+
+
+def _is_known(
+    sides: Sequence[tuple[int, int]], walls: Mapping[tuple[int, int], int], spans: Mapping[tuple[int, int], Span]
+) -> bool:
+    """Return True if enough of the four sides are walls or silent, or sound has not passed all of them together."""
+    own = [spans[side] for side in sides if side in spans]
+    known = sum(side in walls or (side in spans and spans[side].is_wall) for side in sides)
+    return known >= MIN_SIDES or (len(own) == len(sides) and sum(span.stopped for span in own) >= MIN_STOPPED)
+
+
 def _distinct(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
     """Return paths (p, 2) to (p, 2) without those that begin and end beside an earlier one; all steps of the robot."""
-    kept = np.zeros(len(starts), dtype=np.bool_)
+    is_distinct = np.zeros(len(starts), dtype=np.bool_)
     is_step = np.hypot(*(ends - starts).T) < SAME_END_IN
     for row in range(len(starts)):
-        there = np.flatnonzero(kept & ~is_step)
+        there = np.flatnonzero(is_distinct & ~is_step)
         is_same = np.hypot(*(starts[there] - starts[row]).T) < SAME_START_IN
         is_same &= np.hypot(*(ends[there] - ends[row]).T) < SAME_END_IN
-        kept[row] = is_step[row] or not is_same.any()
-    return starts[kept], ends[kept]
+        is_distinct[row] = is_step[row] or not is_same.any()
+    return starts[is_distinct], ends[is_distinct]
 
 
 def _corners_of(places: Floats) -> tuple[Floats, Indices]:
