@@ -233,10 +233,10 @@ async def test_a_host_that_does_not_read_blocks_nothing(path: Path) -> None:
         await server.until(lambda: not server.line.session.ready)
         deaf.send(codec.encode_serial_request(Call("vm", (0, 100, 0)), deaf.wire_state))
         await server.until(lambda: server.moving)
+        # The kernel passes on more than it takes at once: the rest of a reply is written after several reads.
         received = 0
-        while received < 1000:
+        while received < 1000 or server.line._write_buffer:
             received += len(await deaf.some())
-        await server.until(lambda: not server.line._write_buffer)
         assert (await deaf.ask("get_rv")).kind in ("state", "velocity")
 
 
