@@ -116,7 +116,7 @@ BOX_ROOM: Final = World(
 """142 by 114 in; boxes of 12 by 12 and, askew, of 19 by 14 in; a post of 2 by 2 in."""
 MIN_BOX_IN: Final = 6.0
 """Shortest side of an obstacle whose outline a map should have; others are posts."""
-EXPLORE_IN_S, EXPLORE_RAD_S = 6.0, 0.6
+EXPLORE_IN_S, EXPLORE_RAD_S = 9.0, 0.8
 """Top speeds of `nomad map learn`."""
 RADIUS_IN: Final = 2.0
 MAX_BEARING_RAD: Final = 0.5

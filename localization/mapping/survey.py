@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import cos, degrees, hypot, inf, pi, radians, sin
+from math import cos, degrees, dist, hypot, inf, pi, radians, sin
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -33,7 +33,13 @@ from localization.navigation.control_law import (
     StateGapLimiter,
     VelocityCommand,
 )
-from localization.navigation.path import PathFollower, PathSection, angle_difference, line_between, wall_distances
+from localization.navigation.path import (
+    PathFollower,
+    angle_difference,
+    round_corners,
+    split_into_sections,
+    wall_distances,
+)
 from localization.navigation.waypoints import drive_unless_held, stop_on_exit, wait_for_next_state
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
@@ -68,8 +74,8 @@ GAP_STEPS_IN: Final = (2.0, 4.0, 6.0)
 GAP_SPACE_IN: Final = 1.2
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
-MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 19))
-"""Where the map is looked up: as far as the robot drives in REACTION_S at the usual 6 in/s."""
+MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 29))
+"""Where the map is looked up: as far as the robot drives in REACTION_S at 9 in/s."""
 DOOR_SPACE_IN: Final = 1.2
 """Space beside the path in a door that the map does not have: as much as paths leave."""
 KNOWN_IN: Final = 8.0
@@ -87,6 +93,12 @@ REVERSE_RAD: Final = radians(100.0)
 BACK_OFF_IN, BACK_OFF_IN_S = 3.0, 2.0
 MAX_CONTACTS: Final = 3
 REACHED_IN: Final = 2.0
+NEAR_END_IN: Final = 1.0
+"""Nearer to its end a leg is done."""
+TURNED_RAD: Final = 0.12
+"""A turn in place ends within this heading error, which leads 0.27 in aside."""
+ROUNDED_IN, ROUNDED_SPACE_IN = 4.0, 2.0
+"""Arcs pass corners of a path within this, and leave so much space beside the body."""
 MAX_ROUND_PERIODS: Final = 100
 """Periods in which the compared rounds of the ring must be complete: 10 s."""
 
@@ -234,16 +246,19 @@ class WaypointDriver:
 
 
 class _Leg:
-    """A path of straight pieces, each driven forwards or backwards, whichever takes the smaller turn."""
+    """A path with rounded corners, of sections that are driven forwards or backwards: the smaller turn before each."""
 
-    def __init__(self, pose: Floats, points: Sequence[Point], limits: AxisLimits) -> None:
-        corners = [(float(pose[0]), float(pose[1])), *points]
+    def __init__(
+        self, pose: Floats, points: Sequence[Point], limits: AxisLimits, walls: Floats, body_in: float
+    ) -> None:
+        corners = [(float(pose[0]), float(pose[1]))]
+        for point in points:
+            if dist(point, corners[-1]) > REACHED_IN / 2.0:
+                corners.append(point)
         self.goal: Floats = np.array(corners[-1])
-        self._sections = [
-            PathSection((line_between(one, other),))
-            for one, other in pairwise(corners)
-            if hypot(other[0] - one[0], other[1] - one[1]) > REACHED_IN / 2.0
-        ]
+        space_in = body_in + ROUNDED_SPACE_IN
+        elements = round_corners(corners, ROUNDED_IN, limits, walls, space_in) if len(corners) > 1 else []
+        self._sections = list(split_into_sections(elements))
         self._limits = limits
         self._follower: PathFollower | None = None
         self._back = 0.0
@@ -255,9 +270,11 @@ class _Leg:
                 # A section is driven backwards rather than after a large turn.
                 turn = angle_difference(float(pose[2]), self._sections[0].at(0.0).heading_rad)
                 self._back = pi if abs(turn) > REVERSE_RAD else 0.0
-                self._follower = PathFollower(self._sections[:1], self._limits)
+                self._follower = PathFollower(self._sections[:1], self._limits, TURNED_RAD)
             speed, steering = self._follower.command(np.array((pose[0], pose[1], pose[2] + self._back)))
-            if not self._follower.finished:
+            # The last fractions of an inch would take longest.
+            is_near = len(self._sections) == 1 and dist(self.goal, pose[:2]) < NEAR_END_IN
+            if not self._follower.finished and not is_near:
                 return VelocityCommand(-speed if self._back else speed, steering)
             del self._sections[0]
             self._follower = None
@@ -325,7 +342,8 @@ class _Motion:
             points = self._driver.leg(elapsed_s, pose, mapper, free_in)
             if points is None:
                 return "done"
-            self._leg, self._blocked_s = _Leg(pose, points, self._limits), inf
+            self._leg = _Leg(pose, points, self._limits, mapper.walls, self._guard.body_in)
+            self._blocked_s = inf
         command = self._leg.command(pose)
         if command is None:
             self._leg = None
@@ -349,7 +367,7 @@ class _Motion:
         return None if self._leg is None or is_held else self._leg.goal
 
     def _free_of_map_in(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> float:
-        """Return how far the body may move until a wall of a sound map is too near; inf if none is within 9 in."""
+        """Return how far the body may move until a wall of a sound map is too near; inf if none is within 14 in."""
         if not mapper.is_sound or not len(mapper.walls):
             return inf
         body_in, walls, path = self._guard.body_in, mapper.walls, mapper.poses[:, :2]

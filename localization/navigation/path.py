@@ -356,10 +356,18 @@ _MIN_TURN_RAD_S: Final = 0.05
 
 
 class PathFollower:
-    """Controller for a path of sections; `command` is called once per period."""
+    """Controller for a path of sections; `command` is called once per period.
 
-    def __init__(self, path: Sequence[PathSection], limits: AxisLimits) -> None:
-        self._path, self._limits = tuple(path), limits
+    Parameters
+    ----------
+    path, limits
+    turned_rad
+        Heading error within which a turn in place ends and the robot drives. The rest decays on the section, and leads
+        aside by turned_rad DAMPING_IN / e at most.
+    """
+
+    def __init__(self, path: Sequence[PathSection], limits: AxisLimits, turned_rad: float = TURNED_RAD) -> None:
+        self._path, self._limits, self._turned_rad = tuple(path), limits, turned_rad
         self._profiles = [SpeedProfile(section, limits) for section in self._path]
         self._number, self._along_in, self._is_turning = 0, 0.0, True
         self.lateral_error_in = 0.0
@@ -386,7 +394,7 @@ class PathFollower:
                 self._number, self._along_in, self._is_turning = self._number + 1, 0.0, True
                 continue
             # 3. Turn in place or drive; the two thresholds form a hysteresis.
-            self._is_turning = abs(heading_error) > (TURNED_RAD if self._is_turning else MAX_HEADING_ERROR_RAD)
+            self._is_turning = abs(heading_error) > (self._turned_rad if self._is_turning else MAX_HEADING_ERROR_RAD)
             if self._is_turning:
                 return turn_command(-heading_error, self._limits)
             return self._drive(section, point, pose, heading_error, fraction)

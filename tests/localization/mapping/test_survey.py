@@ -18,7 +18,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
-from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, _Motion, survey
+from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, _Leg, _Motion, survey
 from localization.navigation.control_law import MODEL_LIMITS, VelocityCommand
 from nclient import Robot, connect
 from nclient.cli import main
@@ -184,6 +184,24 @@ def surveyed(
             if step.elapsed_s > limit_s:
                 break
     return step, faulty
+
+
+def test_leg_drives_through_its_corners_and_ends_near_its_goal() -> None:
+    nowhere, limits = np.zeros((0, 4)), MODEL_LIMITS["n150"].capped(6.0, 0.6)
+    leg = _Leg(np.zeros(3), [(30.0, 0.0), (50.0, 15.0)], limits, nowhere, N150.radius_in)
+    pose, slowest = np.zeros(3), 99.0
+    while (command := leg.command(pose)) is not None:
+        moved = 0.1 * command.translation_in_s
+        pose += np.array((moved * cos(pose[2]), moved * sin(pose[2]), 0.1 * command.steering_rad_s))
+        if np.hypot(*(pose[:2] - (30.0, 0.0))) < 6.0:
+            slowest = min(slowest, command.translation_in_s)
+    assert slowest > 2.0
+    assert 0.25 < np.hypot(*(pose[:2] - (50.0, 15.0))) < 1.1
+    # Not where an arc would lead past a wall: then it turns in place.
+    leg = _Leg(np.zeros(3), [(30.0, 0.0), (50.0, 15.0)], limits, np.array([(28.0, 10.5, 28.0, 20.0)]), N150.radius_in)
+    assert len(leg._sections) == 2
+    # Nothing to drive.
+    assert _Leg(np.zeros(3), [(0.3, 0.0)], limits, nowhere, N150.radius_in).command(np.zeros(3)) is None
 
 
 def test_drive_ends_when_the_clock_goes_back() -> None:

@@ -89,6 +89,16 @@ def test_rotated_robot_stops_and_turns_back() -> None:
     assert follower.command(np.array([0.0, 0.0, 0.2])).translation_in_s == 0.0
 
 
+def test_turn_that_ends_early_leads_aside_as_the_law_says() -> None:
+    # e'' + 2 e' / L + e / L^2 = 0 with e = 0 and slope a at the start: e = a s exp(-s / L), at most a L / e at s = L.
+    path = [PathSection((line_between((0, 0), (100, 0)),))]
+    start = np.array([0.0, 0.0, 0.1])
+    assert PathFollower(path, AXES).command(start).translation_in_s == 0.0
+    poses = drive(PathFollower(path, AXES, 0.12), start)
+    assert poses[:, 1].max() == pytest.approx(0.1 * 6.0 / np.e, rel=0.25)
+    assert abs(poses[-1, 1]) < 0.02
+
+
 def test_speed_fraction_and_remaining_length() -> None:
     follower = PathFollower(
         [PathSection((line_between((0, 0), (100, 0)), PathElement(100.0, 0.0, 0.0, 0.1, 5.0 * pi)))], AXES
