@@ -27,13 +27,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import dist, hypot, inf, radians
+from math import dist, hypot, inf
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import Floats
+from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.problem import sensors_at
@@ -89,6 +89,8 @@ LOOK_IN, SIGHT_IN = 18.0, 44.0
 """A frontier is looked at from such distances: a wall nearer than 6 in to the body cannot be measured."""
 END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
 VERTEX_IN: Final = 17.0
+VERTEX_DIRECTIONS, VERTEX_SEEN_IN = 8, 30.0
+"""Directions from which a vertex is looked at, and how far off the robot may have been there."""
 CORNER_IN: Final = 5.0
 """Space beside the body at a corner: nearer ranges are more accurate, and as near the sonars still measure."""
 NEAR_CORNER_IN, CORNER_NODES = 10.0, 24
@@ -121,6 +123,8 @@ SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
 WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
+AGAIN_S, MAX_TRIES_EVER = 90.0, 16
+"""A frontier that was tried in vain is tried again after this time, and so often at most."""
 SAME_GOAL_IN, MAX_LOOKS = 5.0, 2
 """A frontier is looked at from cells this near to one another so often: in a door it recedes as the robot proceeds."""
 SEEN_AT_ONCE: Final = 64
@@ -142,6 +146,8 @@ class Place:
     """Of a frontier: the unknown area behind it by BEHIND_CELLS, within limits."""
     seen_from_in: Point = (inf, inf)
     """The cell to which the robot drives for it."""
+    tried_s: float = 0.0
+    """When it was tried."""
 
 
 @dataclass(slots=True)
@@ -215,6 +221,7 @@ class Explorer:
         self.blocked: list[Point] = []
         """Points at which something blocked a leg."""
         self._tried: list[Place] = []
+        self._clock_s = 0.0
         self._place: Place | None = None
         self._is_blocked = self._is_undecided = False
         self._revisions = 0
@@ -230,6 +237,7 @@ class Explorer:
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
         """Return the next path."""
+        self._clock_s = clock_s
         path = None if self._is_last else self._free_path(clock_s, pose, mapper, free_in)
         was_blocked, self._is_blocked = self._is_blocked, False
         if path and was_blocked and not self._is_last:
@@ -265,7 +273,7 @@ class Explorer:
             if free > HERE_IN:
                 x, y = (pose[:2] + free / length * off).tolist()
                 return [(x, y)]
-            self._tried += [place] * BLOCKED_TRIES
+            self._add_tries(place, BLOCKED_TRIES)
             self._place = None
             path = self._chosen_leg(clock_s, pose, mapper, free_in)
         return path
@@ -321,7 +329,7 @@ class Explorer:
                 float(pose[1]) + reach * float(np.sin(direction_rad)),
             ))  # fmt: skip
         if self._place is not None:
-            self._tried += [self._place] * (BLOCKED_TRIES if reason else 1)
+            self._add_tries(self._place, BLOCKED_TRIES if reason else 1)
         self._place = None
 
     def unexplored(self, estimate: MapEstimate) -> Floats:
@@ -496,7 +504,7 @@ class Explorer:
         visited = mapper.poses[:, :2]
         space = grid.space[reached[:, 0], reached[:, 1]]
         choices: list[tuple[float, float, Place, npt.NDArray[np.intp]]] = []
-        for place, radius in self._candidates(grid, mapper, centres, space, visited):
+        for place, radius in self._candidates(grid, mapper, reached):
             at = np.array((place.x_in, place.y_in))
             away = np.hypot(*(centres - at).T)
             near = away < radius
@@ -558,18 +566,29 @@ class Explorer:
         turn = abs(angle_difference(float(np.arctan2(place[1] - pose[1], place[0] - pose[0])), float(pose[2])))
         return (turn if turn < REVERSE_RAD else np.pi - turn) / TURN_RAD_S
 
+    def _add_tries(self, place: Place, count: int) -> None:
+        place.tried_s = self._clock_s
+        self._tried += [place] * count
+
     def _tries(self, place: Place, from_within_in: float = inf) -> int:
-        """Return how often a place, or one near to it, was tried, from cells within a distance of the present one."""
+        """Return how often a place, or one near to it, was tried, from cells within a distance of the present one.
+
+        A frontier is tried again after a while: the map may have changed, and a door leads to all that is behind it.
+        """
         radius = 12.0 if place.kind == "frontier" else 5.0
-        return sum(
-            other.kind == place.kind
+        ages_s = [
+            self._clock_s - other.tried_s
+            for other in self._tried
+            if other.kind == place.kind
             and hypot(other.x_in - place.x_in, other.y_in - place.y_in) < radius
             and (from_within_in == inf or dist(other.seen_from_in, place.seen_from_in) < from_within_in)
-            for other in self._tried
-        )
+        ]
+        if place.kind != "frontier" or len(ages_s) >= MAX_TRIES_EVER:
+            return len(ages_s)
+        return sum(age_s < AGAIN_S for age_s in ages_s)
 
     def _candidates(
-        self, grid: Grid, mapper: LiveMapper, centres: Floats, space: Floats, visited: Floats
+        self, grid: Grid, mapper: LiveMapper, reached: npt.NDArray[np.intp]
     ) -> list[tuple[Place, float]]:
         """Return places worth visiting, each with the radius within which it may be visited."""
         found: list[tuple[Place, float]] = [
@@ -579,13 +598,11 @@ class Explorer:
             corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
             places = _end_places(mapper.estimate, self._pieces) + _span_places(mapper.estimate) + corners
             found += [(place, REACH_CELLS_IN) for place in places]
-        # Cells far from the path and from walls, the farthest first.
-        centres = centres[space > self._body_in + COMFORT_IN]
-        away = np.full(len(centres), np.inf)
-        for start in range(0, len(visited), 64):
-            part = visited[start : start + 64]
-            away = np.minimum(away, np.hypot(*(centres[:, None] - part[None]).transpose(2, 0, 1)).min(axis=1))
-        left = np.flatnonzero(away > COVERAGE_IN)
+        # Cells (n, 2) far from the path and from walls, the farthest first.
+        rows, columns = reached.T
+        away = self._image.distance_transform_edt(~grid.driven, sampling=CELL_IN)[rows, columns]
+        away[grid.space[rows, columns] <= self._body_in + COMFORT_IN] = 0.0
+        centres, left = grid.centres(reached), np.flatnonzero(away > COVERAGE_IN)
         while len(left):
             centre = centres[left[away[left].argmax()]]
             found.append((Place("coverage", *centre.tolist()), REACH_CELLS_IN))
@@ -737,12 +754,17 @@ def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
             for side in (END_ASIDE_IN, -END_ASIDE_IN):
                 x, y = here + END_AHEAD_IN * along + side * normal
                 found.append(Place("end", float(x), float(y)))
-    # 2. Vertices.
+    # 2. Vertices, in directions from which the robot has not looked.
+    turns = np.arange(VERTEX_DIRECTIONS) * (2.0 * np.pi / VERTEX_DIRECTIONS)
     for point in estimate.state.points:
         ends = [end for piece in pieces for end in piece.ends]
         if sum(float(np.hypot(*(point - end))) < NEAR_WALL_END_IN for end in ends) >= 2:
             continue
-        for turn in np.arange(8) * radians(45.0):
+        off = estimate.state.poses[:, :2] - point
+        off = off[np.hypot(*off.T) < VERTEX_SEEN_IN]
+        aside = wrap_angle(np.arctan2(off[:, 1], off[:, 0])[:, None] - turns)
+        is_seen = (np.abs(aside) < np.pi / VERTEX_DIRECTIONS).any(axis=0)
+        for turn in turns[~is_seen]:
             x, y = point + VERTEX_IN * np.array((np.cos(turn), np.sin(turn)))
             found.append(Place("vertex", float(x), float(y)))
     return found

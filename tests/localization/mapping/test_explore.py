@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import cast
@@ -18,6 +19,7 @@ from localization.mapping.explore import (
     Place,
     _corner_places,
     _dense,
+    _end_places,
     _Finished,
     _first_in_sight,
     pushed,
@@ -155,6 +157,36 @@ def test_frontier_counts_as_tried_where_it_was_looked_at_from() -> None:
     assert (explorer._tries(near), explorer._tries(near, 5.0)) == (3, 2)
 
 
+def test_frontier_is_tried_again_later_but_not_for_ever() -> None:
+    explorer = Explorer(BODY_IN, 6.0, 900.0)
+    place = Place("frontier", 10.0, 0.0, 1.0, (0.0, 0.0))
+    for clock_s, tries in ((10.0, 2), (50.0, 4), (120.0, 4), (400.0, 2), (800.0, 2)):
+        explorer._clock_s, explorer._place = clock_s, replace(place)
+        explorer.end_leg(np.zeros(3), "blocked")
+        assert explorer._tries(place) == tries
+    for _ in range(3):
+        explorer._place = replace(place)
+        explorer.end_leg(np.zeros(3), "blocked")
+    explorer._clock_s = 5000.0
+    assert explorer._tries(place) == 16
+    # Other places are not.
+    explorer._place = Place("end", 10.0, 0.0)
+    explorer.end_leg(np.zeros(3), "")
+    explorer._clock_s = 9000.0
+    assert explorer._tries(Place("end", 10.0, 0.0)) == 1
+
+
+def test_vertex_is_looked_at_from_where_the_robot_was_not(estimate: MapEstimate) -> None:
+    made = estimate.copy()
+    made.state = replace(
+        estimate.state, points=np.array([(0.0, 0.0)]),
+        poses=np.array([(20.0, 0.0, 0.0), (20.0, 20.0, 0.0), (0.0, 40.0, 0.0), (-15.0, -15.0, 0.0)]),
+    )  # fmt: skip
+    places = {(round(place.x_in), round(place.y_in)) for place in _end_places(made, [])}
+    # Eight directions 17 in off, less those of three poses: (0, 40) is too far away.
+    assert places == {(0, 17), (-12, 12), (-17, 0), (0, -17), (12, -12)}
+
+
 class NoMap:
     """A mapper before its first solution."""
 
@@ -257,7 +289,10 @@ def test_places_are_not_beside_walls_where_sonars_measure_nothing(estimate: MapE
     # Cells beside the walls are reached, and none of them is a place to cover, far as it may be from the path.
     assert space.min() < BODY_IN + 3.0
     mapper = cast("LiveMapper", finished)
-    candidates = explorer._candidates(grid, mapper, grid.centres(reached), space, np.array([[500.0, 500.0]]))
+    # As if the robot had been outside alone.
+    grid.driven[:] = False
+    grid.driven[0, 0] = True
+    candidates = explorer._candidates(grid, mapper, reached)
     places = np.array([(place.x_in, place.y_in) for place, _ in candidates if place.kind == "coverage"])
     assert len(places) > 4
     assert wall_distances(places, finished.walls).min() > BODY_IN + 3.0
