@@ -40,7 +40,7 @@ from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
 from localization.filters.odometry import OdometryNoise, process_variance
 from localization.filters.sonar_cone import to_vertex, to_wall
 from localization.filters.sonar_ray import RangeNoise, intersect_line
-from localization.mapping.measurements import Indices, compose, rotate
+from localization.mapping.measurements import Indices, Trajectory, compose, rotate
 from localization.mapping.problem import (
     COMMON_OFFSET,
     LEVEL_CELL_IN,
@@ -96,6 +96,10 @@ PENALTY: Final = {"wall": 40.0, "point": 25.0}
 TURN_STEP_RAD: Final = 0.05
 """A robot that turns less between two nodes drives straight."""
 MIN_TURN_RAD, MAX_TURN_RAD = 0.2, 1.0
+LAG_NODES: Final = 20
+"""Nodes that are tracked together: 10 s."""
+ALIGN_NODES: Final = 6
+"""Of a stretch that is tracked: a turn that ended longer ago has its heading."""
 HEADINGS: Final = np.linspace(-3.0, 3.0, 25)
 """Compared headings, in standard deviations of the turn."""
 
@@ -435,6 +439,12 @@ def _wall_geometry(
     return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
 
 
+def growth_of(extents: Floats) -> Floats:
+    """Return how far each wall (w,) may go on beyond the part of it that was seen, of extents (w, 2)."""
+    growth: Floats = np.clip(GROWTH * (extents[:, 1] - extents[:, 0]), MIN_GROWTH_IN, MAX_GROWTH_IN)
+    return growth
+
+
 def residual_matrix(
     problem: MapProblem, state: MapState, extents: Floats, echoes: Indices, sensors: Sensors | None = None
 ) -> tuple[Floats, Sensors, Floats]:
@@ -458,7 +468,7 @@ def residual_matrix(
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
-    growth = np.clip(GROWTH * (extents[:, 1] - extents[:, 0]), MIN_GROWTH_IN, MAX_GROWTH_IN)
+    growth = growth_of(extents)
     on_wall = (feet > extents[:, 0] - growth) & (feet < extents[:, 1] + growth)
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
@@ -510,10 +520,11 @@ def _inner_corners(estimate: MapEstimate) -> tuple[Indices, Indices]:
     """
     state, extents = estimate.state, estimate.extents
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-    # 1. Points (v, w) on lines, not beyond the part that was seen.
+    # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
     along = state.points[:, 1:] * c - state.points[:, :1] * s
     on_wall = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
-    on_wall &= (along > extents[:, 0] - CORNER_IN) & (along < extents[:, 1] + CORNER_IN)
+    growth = growth_of(extents)
+    on_wall &= (along > extents[:, 0] - growth) & (along < extents[:, 1] + growth)
     # 2. How far the other wall goes on from there: to where the face's normal points, and away from it.
     onward = np.stack((extents[:, 0] - along, extents[:, 1] - along), axis=-1)
     slope = c[:, None] * -s + s[:, None] * c
@@ -568,6 +579,32 @@ def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) 
             candidate.optimize()
         if other.cost < estimate.cost:
             estimate.replace_by(other)
+
+
+def track(estimate: MapEstimate, trajectory: Trajectory, poses: Floats, noise: OdometryNoise) -> MapEstimate:
+    """Return the poses of a stretch of a drive in a map that stays as it is.
+
+    Parameters
+    ----------
+    estimate
+        The map.
+    trajectory
+        The stretch.
+    poses
+        (k, 3) known poses of its first nodes, of which the first one stays; the others follow by the odometry.
+    noise
+        Random errors of the odometry.
+    """
+    problem = estimate.problem.with_trajectory(trajectory, has_fixed_map=True)
+    nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
+    state = replace(estimate.state, poses=poses)
+    found = MapEstimate(problem, state, nothing, estimate.extents, estimate.runs, estimate.sides)
+    found.extend(len(trajectory))
+    if state.features and len(trajectory) > 1:
+        align_heading(found, len(trajectory) - ALIGN_NODES, noise)
+        found.associate()
+        found.optimize(2)
+    return found
 
 
 def _turned_sensors(estimate: MapEstimate, node: int, echoes: Indices, angles_rad: Floats) -> Sensors:

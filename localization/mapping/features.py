@@ -374,11 +374,14 @@ def _pairs(estimate: MapEstimate, first_node: int) -> tuple[Indices, Floats]:
         if len(nodes):
             # Some echoes of the new one were taken for the old one's before it was found.
             begins[number], middles[number] = np.quantile(nodes, (0.1, 0.5))
+    # Walls measured from opposite sides may be the faces of a thick one.
+    angle, opposite = estimate.state.walls[:, 0], np.zeros((count, count), dtype=np.bool_)
+    opposite[:walls, :walls] = np.outer(estimate.sides, estimate.sides) * np.cos(angle[:, None] - angle) < 0.0
     found = [
         (old, new)
         for new in np.flatnonzero((begins >= first_node) & np.isfinite(begins))
         for old in np.flatnonzero(middles + MIN_LEFT_NODES < begins[new])
-        if (old < walls) == (new < walls)
+        if (old < walls) == (new < walls) and not opposite[old, new]
     ]
     return np.array(found, dtype=np.intp).reshape(-1, 2), begins
 

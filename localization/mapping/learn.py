@@ -37,7 +37,9 @@ from localization.filters.belief import Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import (
+    LAG_NODES,
     PENALTY,
+    SIDED,
     MapEstimate,
     Mask,
     align_heading,
@@ -45,6 +47,8 @@ from localization.mapping.association import (
     is_blocked,
     residual_matrix,
     segments_of,
+    sides_of,
+    track,
     weigh_ranges,
 )
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
@@ -54,6 +58,7 @@ from localization.mapping.problem import (
     PARAMETER_STDS,
     PLANES,
     ROBUST_LIMIT,
+    WALL,
     Levels,
     MapProblem,
     Reflection,
@@ -72,6 +77,7 @@ from localization.mapping.walls import (
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
+TRACKED_NODES: Final = 2
 WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
 LOOP_WINDOW_NODES: Final = 60
@@ -88,10 +94,11 @@ MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
 JOIN_STEPS: Final = 6
 """Steps of plain least squares that bring the echoes of two walls onto one line, far as they may be."""
-ONE_SIDED: Final = 0.9
-"""Fraction of a face's echoes that are from its side of the wall."""
 MIN_THICKNESS_IN: Final = 2.0
-"""Two faces of a wall are at least this far apart; nearer lines may be the same face, by the odometry's drift."""
+"""Of a wall whose faces are two; a thinner one is one line."""
+FACE_SIGMAS: Final = 2.0
+"""Standard deviations by which the thickness of a wall must be less to make one of two faces."""
+PRIOR_INFORMATION: Final = 1e-6
 CHOICE_COST: Final = 2.0 * log(2.0)
 """Twice the negative logarithm of the probability of one of two walls."""
 MERGE_GAP_IN: Final = 40.0
@@ -175,8 +182,12 @@ class MapLearner:
         before = len(estimate.state.poses)
         count = min(before + self._nodes_per_round, len(self.trajectory))
         window = max(count - WINDOW_NODES, 0)
-        # 1. Where the robot is, by the features so far.
-        estimate.extend(count)
+        # 1. Where the robot is, by the features so far, in small steps: the odometry of 8 s may lead to another wall.
+        for known in range(before, count, TRACKED_NODES):
+            first, last = max(known - LAG_NODES, 0), min(known + TRACKED_NODES, count)
+            stretch = track(estimate, self.trajectory.part(first, last), estimate.state.poses[first:], self._noise)
+            poses = np.concatenate((estimate.state.poses[:first], stretch.state.poses))
+            estimate.state = replace(estimate.state, poses=poses)
         align_heading(estimate, before - self._nodes_per_round // 2, self._noise)
         update_features(estimate, window)
 
@@ -231,10 +242,10 @@ def update_features(estimate: MapEstimate, first_node: int) -> None:
         estimate.associate(first_node)
         estimate.optimize()
     # 2. Revision.
-    if merge(estimate) + prune(estimate):
+    if merge(estimate, with_faces=False) + prune(estimate):
         estimate.optimize()
     # 3. Places that were not recognized.
-    if close_loops(estimate, first_node - LOOP_WINDOW_NODES) and merge(estimate) + prune(estimate):
+    if close_loops(estimate, first_node - LOOP_WINDOW_NODES) and merge(estimate, with_faces=False) + prune(estimate):
         estimate.optimize()
 
 
@@ -291,11 +302,14 @@ def _losses(estimate: MapEstimate) -> Floats:
     return losses
 
 
-def merge(estimate: MapEstimate) -> int:
-    """Merge pairs of features where the total cost falls, and return their number."""
+def merge(estimate: MapEstimate, *, with_faces: bool = True) -> int:
+    """Merge pairs of features where the total cost falls, and return their number.
+
+    Without faces, walls that were measured from opposite sides remain two.
+    """
     merged = 0
     tried: set[tuple[int, int]] = set()
-    while (pair := next((pair for pair in _merge_pairs(estimate) if pair not in tried), None)) is not None:
+    while (pair := next((pair for pair in _merge_pairs(estimate, with_faces) if pair not in tried), None)) is not None:
         tried.add(pair)
         if _try_merge(estimate, *pair):
             merged, tried = merged + 1, set()
@@ -569,19 +583,25 @@ def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstima
     return trial
 
 
-def _merge_pairs(estimate: MapEstimate) -> list[tuple[int, int]]:
+def _merge_pairs(estimate: MapEstimate, with_faces: bool = True) -> list[tuple[int, int]]:
     """Return pairs of walls, and of a wall and a point on it, that may be one feature: (remaining, removed)."""
-    state, count = estimate.state, len(estimate.state.walls)
-    sizes = [len(estimate.echoes_of(number)) for number in range(state.features)]
+    state = estimate.state
+    sizes = [len(estimate.echoes_of(number)) for number in range(len(state.walls))]
     segments = segments_of(state.walls, estimate.extents)
-    pairs = []
-    for one in range(count):
-        for other in range(one + 1, count):
-            turn = abs(float(wrap_angle(2.0 * (state.walls[one, 0] - state.walls[other, 0])))) / 2.0
-            is_candidate = turn < MERGE_RAD and _is_near(segments[one], segments[other])
-            if is_candidate and not _are_faces(estimate, one, other):
-                pairs.append((one, other) if sizes[one] >= sizes[other] else (other, one))
-    return pairs
+    turns = np.abs(wrap_angle(2.0 * (state.walls[:, None, 0] - state.walls[:, 0]))) / 2.0
+    near = [
+        (one, other) for one, other in np.argwhere(np.triu(turns < MERGE_RAD, 1)).tolist()
+        if _is_near(segments[one], segments[other])
+    ]  # fmt: skip
+    if not near:
+        return []
+    information = None
+    if with_faces:
+        information, _ = estimate.problem.normal_equations(state, estimate.assignment).reduced()
+    return [
+        (one, other) if sizes[one] >= sizes[other] else (other, one)
+        for one, other in near if not _may_be_faces(estimate, one, other, information)
+    ]  # fmt: skip
 
 
 def _is_near(one: Floats, other: Floats) -> bool:
@@ -595,20 +615,50 @@ def _is_near(one: Floats, other: Floats) -> bool:
     return bool(across.min() < MERGE_IN and across.mean() < 1.5 * MERGE_IN and gap < MERGE_GAP_IN)
 
 
-def _are_faces(estimate: MapEstimate, one: int, other: int) -> bool:
-    """Return True for the two faces of a thick wall: each was measured from its own side, the other one behind it."""
-    state, places = estimate.state, []
-    angle = state.walls[one, 0]
-    normal = np.array((np.cos(angle), np.sin(angle)))
-    middles = segments_of(state.walls, estimate.extents)[[one, other]].reshape(2, 2, 2).mean(axis=1) @ normal
-    for wall in (one, other):
-        echoes = estimate.echoes_of(wall)
-        face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
-        places.append(face @ normal)
-    gap = float(middles[1] - middles[0])
-    between, sign = 0.5 * float(middles.sum()), np.sign(gap)
-    before, after = ((sign * (place - between) < 0.0).mean() if len(place) else 0.5 for place in places)
-    return bool(abs(gap) > MIN_THICKNESS_IN and before > ONE_SIDED and after < 1.0 - ONE_SIDED)
+def _may_be_faces(estimate: MapEstimate, one: int, other: int, information: Floats | None) -> bool:
+    """Return True if two lines, each measured from its own side, may be the faces of a thick wall.
+
+    Their distance is known by the odometry on the way from one side to the other. Unless it excludes a thickness of
+    MIN_THICKNESS_IN they remain two: a single wall would fold the rooms on both sides together by its thickness.
+
+    Parameters
+    ----------
+    estimate, one, other
+        The map, and the numbers of two walls.
+    information
+        (m, m) of walls, points and parameters, with the poses eliminated; without it all opposite sides count.
+    """
+    angles = estimate.state.walls[[one, other], 0]
+    sides = [_side_of(estimate, wall) for wall in (one, other)]
+    if min(np.abs(sides)) < SIDED or sides[0] * sides[1] * np.cos(angles[0] - angles[1]) > 0.0:
+        return False
+    if information is None:
+        return True
+    thickness, std_in = _thickness(estimate, one, other, information)
+    return thickness + FACE_SIGMAS * std_in > MIN_THICKNESS_IN
+
+
+def _thickness(estimate: MapEstimate, one: int, other: int, information: Floats) -> tuple[float, float]:
+    """Return how far two faces are apart, positive if their sonars are outside, and the deviation of this, inches."""
+    walls, segments = estimate.state.walls[[one, other]], segments_of(estimate.state.walls, estimate.extents)
+    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
+    # 1. Between the middles of both.
+    x, y = segments[[one, other]].reshape(4, 2).mean(axis=0)
+    sign = np.sign([_side_of(estimate, wall) for wall in (one, other)])
+    thickness = float(sign @ (walls[:, 1] - c * x - s * y))
+    # 2. By its derivatives. What nothing determines has a deviation of 1 / PRIOR_INFORMATION**0.5.
+    by_unknowns = np.zeros(len(information))
+    for wall, by_angle, by_offset in zip((one, other), sign * (s * x - c * y), sign, strict=True):
+        by_unknowns[WALL * wall : WALL * (wall + 1)] = by_angle, by_offset
+    information = information + PRIOR_INFORMATION * np.eye(len(information))
+    return thickness, float(by_unknowns @ np.linalg.solve(information, by_unknowns)) ** 0.5
+
+
+def _side_of(estimate: MapEstimate, wall: int) -> float:
+    """Return the mean side from which a wall was measured: 1 or -1 for a face, 0 without echoes."""
+    state, echoes = estimate.state, estimate.echoes_of(wall)
+    face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
+    return float(sides_of(face, state.walls[wall : wall + 1]).mean()) if len(echoes) else 0.0
 
 
 def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:

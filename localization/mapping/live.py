@@ -24,7 +24,7 @@ from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
-from localization.mapping.association import MapEstimate, align_heading, segments_of
+from localization.mapping.association import LAG_NODES, MapEstimate, align_heading, segments_of, track
 from localization.mapping.consistency import is_consistent
 from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, reflection_of, revise, update_features
 from localization.mapping.measurements import (
@@ -43,10 +43,6 @@ from nclient.state import RobotState
 WHOLE_ROUNDS, WHOLE_NODES = 4, 600
 """Of so many solutions one takes the echoes of so many nodes for births: in 30 s too little is seen of a wall that the
 robot passes now and then. Rooms are explored in 300 s."""
-LAG_NODES: Final = 20
-"""Nodes of the smoother: 10 s."""
-ALIGN_NODES: Final = 6
-"""A turn that ended longer ago has its heading."""
 NODES_PER_FRACTION: Final = 40
 """The longer the drive, the rarer the whole map is solved: the effort grows with its nodes."""
 ALWAYS_CHALLENGED: Final = 80
@@ -165,22 +161,11 @@ class LiveMapper:
         old, old_groups = self._poses[first:], self._groups[first:]
         same = _common(groups, old_groups)
         poses = old[:same] if same else np.zeros((1, POSE))
-        # 2. The map without its echoes.
-        full = self.estimate
-        state = MapProblem(trajectory, len(log.angles_rad)).initial() if full is None else full.state
-        problem = MapProblem(
-            trajectory, len(log.angles_rad), rays=self.rays, has_fixed_map=True, reflection=self._reflection
+        # 2. Their poses, in the map without its echoes.
+        whole = self.estimate or MapEstimate.start(
+            MapProblem(trajectory, len(log.angles_rad), rays=self.rays, reflection=self._reflection)
         )
-        nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
-        window = MapEstimate(problem, replace(state, poses=poses), nothing)
-        if full is not None:
-            window.extents, window.runs, window.sides = full.extents, full.runs, full.sides
-        window.extend(len(trajectory))
-        # 3. The poses.
-        if full is not None and full.state.features and len(trajectory) > 1:
-            align_heading(window, len(trajectory) - ALIGN_NODES, self._noise)
-            window.associate()
-            window.optimize(2)
+        window = track(whole, trajectory, poses, self._noise)
         self.recent = window
         self._poses = np.concatenate((self._poses[:first], window.state.poses))
         self._groups = np.concatenate((self._groups[:first], groups))

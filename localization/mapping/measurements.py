@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import radians
 from pathlib import Path
@@ -174,6 +174,20 @@ class Trajectory:
     def __len__(self) -> int:
         """Return the number of nodes."""
         return len(self.instants_s)
+
+    def part(self, first: int, last: int) -> Trajectory:
+        """Return the nodes from one up to another one, which is left out."""
+        nodes, between = slice(first, last), slice(first, max(last - 1, first))
+        echoes = slice(*np.searchsorted(self.node, (first, last)).tolist())
+        return replace(
+            self, instants_s=self.instants_s[nodes], odometry=self.odometry[nodes], steps=self.steps[between],
+            step_info=self.step_info[between], step_by_parameters=self.step_by_parameters[between],
+            group=self.group[nodes], node=self.node[echoes] - first, sonar=self.sonar[echoes],
+            mounts=self.mounts[echoes], axes_rad=self.axes_rad[echoes], readings_in=self.readings_in[echoes],
+            std_in=self.std_in[echoes], weight=self.weight[echoes], noise_var_in2=self.noise_var_in2[echoes],
+            other_var_in2=self.other_var_in2[echoes], heading_var_in2=self.heading_var_in2[echoes],
+            is_too_near=self.is_too_near[nodes],
+        )  # fmt: skip
 
 
 class DriveCollector:

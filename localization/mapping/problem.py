@@ -368,16 +368,16 @@ class MapProblem:
     @property
     def plain(self) -> MapProblem:
         """The same problem by plain least squares, without robust weights."""
-        return MapProblem(
-            self.trajectory, self._parameters - len(self._stds), rays=self.rays, robust=False,
-            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds, reflection=self.reflection,
-        )  # fmt: skip
+        return self._like(self.trajectory, robust=False, has_fixed_map=self.has_fixed_map)
 
-    def with_trajectory(self, trajectory: Trajectory) -> MapProblem:
+    def with_trajectory(self, trajectory: Trajectory, *, has_fixed_map: bool = False) -> MapProblem:
         """Return the same problem with other measurements."""
+        return self._like(trajectory, robust=self.robust, has_fixed_map=has_fixed_map)
+
+    def _like(self, trajectory: Trajectory, *, robust: bool, has_fixed_map: bool) -> MapProblem:
         return MapProblem(
-            trajectory, self._parameters - len(self._stds), rays=self.rays, robust=self.robust,
-            has_fixed_map=self.has_fixed_map, parameter_stds=self._stds, reflection=self.reflection,
+            trajectory, self._parameters - len(self._stds), rays=self.rays, robust=robust, has_fixed_map=has_fixed_map,
+            parameter_stds=self._stds, reflection=self.reflection,
         )  # fmt: skip
 
     def initial(self) -> MapState:

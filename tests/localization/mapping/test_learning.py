@@ -13,9 +13,18 @@ import pytest
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate, is_blocked, residual_matrix
+from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
 from localization.mapping.features import FreeEchoes, _fit
-from localization.mapping.learn import _merged, drop_hidden, drop_unmeasured, learn_map, merge, split
+from localization.mapping.learn import (
+    _may_be_faces,
+    _merged,
+    _thickness,
+    drop_hidden,
+    drop_unmeasured,
+    learn_map,
+    merge,
+    split,
+)
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
@@ -308,6 +317,53 @@ def test_faces_of_a_thick_wall_stay_apart() -> None:
     faces = sorted(float(wall.ends[:, 1].mean()) for wall in found.walls if np.abs(wall.ends[:, 1] - 25.0).max() < 8.0)
     np.testing.assert_allclose(faces, (22.5, 27.5), atol=0.8)
     assert found.reason_to_refuse() == ""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("thickness_in", "lines"), [(1.0, 1), (5.0, 2)])
+def test_faces_become_one_wall_where_their_distance_is_known(thickness_in: float, lines: int) -> None:
+    low, high = 50.0 - 0.5 * thickness_in, 50.0 + 0.5 * thickness_in
+    wall = ((36.0, low), (84.0, low), (84.0, high), (36.0, high))
+    estimate = learn_map(drive(2, outlines=(ROOM, wall)), OdometryNoise(0.05, 0.05, 0.002), ConeSonar())
+    middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
+    inside = np.flatnonzero(np.abs(middles - (35.0, 25.0)).max(axis=1) < 10.0)
+    assert len(inside) == lines
+    if lines == 1:
+        return
+    # The thickness and its deviation: differences of the offsets, and the covariance of all unknowns.
+    one, other = inside.tolist()
+    information, _ = estimate.problem.normal_equations(estimate.state, estimate.assignment).reduced()
+    assert _may_be_faces(estimate, one, other, information)
+    assert _may_be_faces(estimate, one, other, None)
+    thickness, std_in = _thickness(estimate, one, other, information)
+    assert thickness == pytest.approx(thickness_in, abs=0.8)
+
+    def apart(x: Floats) -> float:
+        place = middles[inside].mean(axis=0)
+        away = [x[2 * k + 1] - place @ (np.cos(x[2 * k]), np.sin(x[2 * k])) for k in (one, other)]
+        return float(abs(away[0] - np.sign(np.cos(x[2 * one] - x[2 * other])) * away[1]))
+
+    unknowns = np.concatenate((estimate.state.walls.reshape(-1), np.zeros(len(information) - 2 * len(middles))))
+    steps = 1e-6 * np.eye(len(information))
+    gradient = np.array([(apart(unknowns + step) - apart(unknowns - step)) / 2e-6 for step in steps])
+    assert std_in == pytest.approx(float(gradient @ np.linalg.inv(information) @ gradient) ** 0.5, rel=1e-3)
+    # Walls of the room are measured from inside alone.
+    assert not any(
+        _may_be_faces(estimate, a, b, information)
+        for a in range(len(middles)) for b in range(a) if {a, b} != {one, other}
+    )  # fmt: skip
+
+
+def test_stretch_is_tracked_in_a_map_that_stays(estimate: MapEstimate) -> None:
+    state, trajectory = estimate.state, estimate.problem.trajectory
+    part = trajectory.part(20, 60)
+    np.testing.assert_array_equal(part.readings_in, trajectory.readings_in[np.isin(trajectory.node, range(20, 60))])
+    found = track(estimate, part, state.poses[20:23], OdometryNoise(0.05, 0.05, 0.002)).state
+    assert found.poses.shape == (40, 3)
+    np.testing.assert_allclose(found.poses[0], state.poses[20], atol=1e-6)
+    np.testing.assert_array_equal(found.walls, state.walls)
+    # By the odometry alone it would end several inches off.
+    assert np.hypot(*(found.poses - state.poses[20:60])[:, :2].T).max() < 0.5
 
 
 def test_post_is_a_closed_outline_of_the_file(room: LearnedMap) -> None:
