@@ -64,9 +64,8 @@ class AsyncRobot:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
         await self._finish(partial(self._robot.__exit__, kind, error, trace))
 
     async def disconnect(self) -> None:

@@ -300,10 +300,8 @@ class Connector:
 def _agreed_robot_id(address: Address, options: ConnectOptions) -> int:
     """Return the robot's number. If address and caller disagree neither wins, or the wrong robot could move."""
     if options.robot_id is not None and address.robot_id not in (None, options.robot_id):
-        raise AddressError(
-            f"{address.text!r} names robot {address.robot_id}, the program asks for robot {options.robot_id}: let both "
-            "say the same, or leave the number out of the address"
-        )
+        raise AddressError(f"{address.text!r} names robot {address.robot_id}, the program asks for robot "
+                           f"{options.robot_id}: let both say the same, or leave the number out of the address")
     if options.robot_id is not None:
         return options.robot_id
     return DEFAULT_ROBOT_ID if address.robot_id is None else address.robot_id
@@ -363,9 +361,8 @@ class Connecting:
         self._robot = await self
         return await self._robot.__aenter__()
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
         assert self._robot is not None
         await self._robot.__aexit__(kind, error, trace)
 

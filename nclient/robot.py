@@ -129,9 +129,8 @@ class Robot:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
         if self._is_inherited:
             return
         try:
@@ -214,12 +213,9 @@ class Robot:
         RobotRefused
             If a Scout gets a turn rate of the turret.
         """
-        return self._command_axes(
-            "vm",
-            tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
-            tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
-            tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s),
-        )
+        return self._command_axes("vm", tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
+                                  tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
+                                  tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
     def move(
         self, *, translation_in: float | None = None, translation_m: float | None = None,
@@ -242,12 +238,9 @@ class Robot:
         RobotRefused
             If a Scout gets an angle of the turret.
         """
-        return self._command_axes(
-            "pr",
-            tenths_of(translation_in=translation_in, translation_m=translation_m),
-            tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
-            tenths_of(turret_deg=turret_deg, turret_rad=turret_rad),
-        )
+        return self._command_axes("pr", tenths_of(translation_in=translation_in, translation_m=translation_m),
+                                  tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
+                                  tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
     def move_to(
         self, *, translation_in: float | None = None, translation_m: float | None = None,
@@ -258,16 +251,12 @@ class Robot:
 
         Units as in `move`. Raises RobotRefused for other models and for servers.
         """
-        return self._command(
-            "pa",
-            tenths_of(translation_in=translation_in, translation_m=translation_m),
-            tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
-            tenths_of(turret_deg=turret_deg, turret_rad=turret_rad),
-        )
+        return self._command("pa", tenths_of(translation_in=translation_in, translation_m=translation_m),
+                             tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
+                             tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
-    def drive_axes(
-        self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE, turret: AxisCommand = _LEAVE
-    ) -> RobotState:
+    def drive_axes(self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE,
+                   turret: AxisCommand = _LEAVE) -> RobotState:
         """Command each axis in its own mode. C: mv.
 
         Without arguments it changes nothing, which old programs use as a ping.
@@ -309,9 +298,8 @@ class Robot:
         """Turn steering and turret to the bumper's zero and set position and angles to 0; may take 120 s. C: zr."""
         return self._command("zr")
 
-    def wait_until_still(
-        self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True, turret: bool = True
-    ) -> RobotState:
+    def wait_until_still(self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True,
+                         turret: bool = True) -> RobotState:
         """Wait until the selected axes are still. A timeout stops nothing and raises nothing. C: ws.
 
         Parameters
@@ -379,12 +367,9 @@ class Robot:
 
         Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
         """
-        return self._set_axes(
-            "sp",
-            tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
-            tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
-            tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s),
-        )
+        return self._set_axes("sp", tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
+                              tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
+                              tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
     def set_accelerations(
         self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
@@ -395,12 +380,9 @@ class Robot:
 
         Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
         """
-        return self._set_axes(
-            "ac",
-            tenths_of(translation_in_s2=translation_in_s2, translation_m_s2=translation_m_s2),
-            tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
-            tenths_of(turret_deg_s2=turret_deg_s2, turret_rad_s2=turret_rad_s2),
-        )
+        return self._set_axes("ac", tenths_of(translation_in_s2=translation_in_s2, translation_m_s2=translation_m_s2),
+                              tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
+                              tenths_of(turret_deg_s2=turret_deg_s2, turret_rad_s2=turret_rad_s2))
 
     def set_position(
         self, *, x_in: float | None = None, y_in: float | None = None,
@@ -461,10 +443,8 @@ class Robot:
         bits = sum(bit for is_selected, bit in selected if is_selected)
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
-    def configure_sonars(
-        self, *, rate: int | None = None, interval_s: float | None = None,
-        order: Iterable[int] = types.DEFAULT_SONAR_ORDER,
-    ) -> RobotState:
+    def configure_sonars(self, *, rate: int | None = None, interval_s: float | None = None,
+                         order: Iterable[int] = types.DEFAULT_SONAR_ORDER) -> RobotState:
         """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn.
 
         Parameters
@@ -498,9 +478,8 @@ class Robot:
         """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp."""
         return self._command("conf_cp", mode)
 
-    def configure_laser(
-        self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20, processing: int = 4
-    ) -> RobotState:
+    def configure_laser(self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20,
+                        processing: int = 4) -> RobotState:
         """Set the mode of the laser. C: conf_ls.
 
         Parameters
@@ -678,9 +657,8 @@ class Robot:
         reply = self.execute(Call("predict_sensors", _pose_tenths(pose)))
         return Prediction(reply.values[1:17], reply.values[17:33], reply.laser or (0,))
 
-    def check_motion(
-        self, *, line_in: Points | None = None, line_m: Points | None = None, arc: Arc | None = None
-    ) -> Collision | None:
+    def check_motion(self, *, line_in: Points | None = None, line_m: Points | None = None,
+                     arc: Arc | None = None) -> Collision | None:
         """Find the first collision of a path. C: motion_check.
 
         Parameters

@@ -480,9 +480,8 @@ def snapshot(client_state: ClientState, model: Model) -> RobotState:
     # Slots without a value yet read 0; after the first whole state there are none.
     raw = tuple([value or 0 for value in slots]) if None in slots else cast("tuple[int, ...]", tuple(slots))
     stamps = dict(client_state.stamps) if client_state.stamps else {}
-    return RobotState(
-        model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts, client_state.is_held
-    )
+    return RobotState(model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts,
+                      client_state.is_held)
 
 
 def _stamp(raw: Stamp) -> PositionStamp:

@@ -104,12 +104,8 @@ def is_wanted(name: str, sources: int) -> bool:
 
 def functions_of(*modules: ModuleType) -> list[Callable[..., Any]]:
     """Return the functions that stand in modules."""
-    return [
-        function
-        for module in modules
-        for function in vars(module).values()
-        if isfunction(function) and function.__module__ == module.__name__
-    ]
+    return [function for module in modules for function in vars(module).values() if isfunction(function)
+            and function.__module__ == module.__name__]
 
 
 def make_compilable(functions: Iterable[Callable[..., Any]]) -> None:

@@ -122,9 +122,7 @@ class _Wall(Table):
         """Return the accuracy of each of its walls; None if it was not measured."""
         if self.offset_std is UNSET:
             return None
-        angle_deg, measured_in = (
-            0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured)
-        )
+        angle_deg, measured_in = (0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured))
         return WallAccuracy(self.offset_std, radians(angle_deg), measured_in)
 
     def check(self) -> None:
@@ -247,25 +245,20 @@ def parse_world(text: str, file: str, name: str) -> World:
 def _build_world(values: WorldFile, name: str) -> World:
     """Return the world of a file's values. Raises InvalidValue."""
     # 1. Content.
-    starts = tuple(
-        StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg)) for start in values.start
-    )
+    starts = tuple(StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg))
+                   for start in values.start)
     walls = [polyline_segments(wall.points) for wall in values.wall]
     accuracies = [wall.accuracy() for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
     names = [wall.name for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
-    world = World(
-        name=values.name or name,
-        title=values.title or values.name or name,
-        rooms=tuple(Polygon(room.corners, room.name) for room in values.room),
-        inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
-        obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
-        starts=starts or AT_ORIGIN,
-        paths=_paths(values.path, starts or AT_ORIGIN),
-        accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
-        wall_names={row: name for row, name in enumerate(names) if name},
-        doors=tuple(door.door() for door in values.door),
-        walkers=tuple(walker.walker() for walker in values.walker),
-    )
+    world = World(name=values.name or name, title=values.title or values.name or name,
+                  rooms=tuple(Polygon(room.corners, room.name) for room in values.room),
+                  inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
+                  obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
+                  starts=starts or AT_ORIGIN, paths=_paths(values.path, starts or AT_ORIGIN),
+                  accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
+                  wall_names={row: name for row, name in enumerate(names) if name},
+                  doors=tuple(door.door() for door in values.door),
+                  walkers=tuple(walker.walker() for walker in values.walker))
     # 2. The default start need not be free.
     _require_free_places(world, starts)
     # 3. Names of doors, and routes: doors on them may be opened later.
@@ -339,10 +332,8 @@ def _find(name: str) -> FilePath:
     # 3. A path as in the source tree, which an installed package does not have.
     if path.stem in names and path.name == f"{path.stem}.toml" and str(path.parent) in (".", "worlds"):
         return SHIPPED / path.name
-    raise WorldFileError(
-        f"{name or repr(name)}: no such file, and no shipped world of this name; "
-        f"expected a path or one of {', '.join(names)}{suggest(path.stem, names)}"
-    )
+    raise WorldFileError(f"{name or repr(name)}: no such file, and no shipped world of this name; expected a path or "
+                         f"one of {', '.join(names)}{suggest(path.stem, names)}")
 
 
 def _read(path: FilePath) -> str:

@@ -125,14 +125,9 @@ class Ring:
     def fits_state(self) -> bool:
         """True if State shows the readings of this ring as they are, and conf_sn can set its order and interval."""
         rate = self.interval_s / SONAR_RATE_STEP_S
-        return (
-            self.count <= SONAR_SLOTS
-            and all(len(group) == 1 for group in self.firing)
-            and abs(rate - round(rate)) < _ROUNDING_IN
-            and self.resolution_in == 1.0
-            and self.min_range_in >= MIN_SONAR_IN
-            and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in
-        )
+        return (self.count <= SONAR_SLOTS and all(len(group) == 1 for group in self.firing)
+                and abs(rate - round(rate)) < _ROUNDING_IN and self.resolution_in == 1.0
+                and self.min_range_in >= MIN_SONAR_IN and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in)
 
     @property
     def rate(self) -> int:
@@ -142,10 +137,8 @@ class Ring:
     @property
     def mounts(self) -> tuple[SonarMount, ...]:
         """The sonars as filters see them: direction, and distances of the beam from the robot's axis."""
-        return tuple(
-            SonarMount(angle_rad, self.radius_in + self.shift_in(sonar)[0], self.shift_in(sonar)[1])
-            for sonar, angle_rad in enumerate(self.angles_rad)
-        )
+        return tuple(SonarMount(angle_rad, self.radius_in + self.shift_in(sonar)[0], self.shift_in(sonar)[1])
+                     for sonar, angle_rad in enumerate(self.angles_rad))
 
     def shift_in(self, sonar: int) -> tuple[float, float]:
         """Return a sonar's shift: along its direction, and to the left of it."""
@@ -175,16 +168,13 @@ class Ring:
         if not 0 < self.count <= MAX_SONARS:
             raise InvalidValue(f"expected 1 to {MAX_SONARS} sonars, found {self.count}")
         if not 0.0 <= self.min_range_in < self.max_range_in <= MAX_RANGE_IN:
-            raise InvalidValue(
-                f"expected a minimum below the maximum range and a maximum of at most {MAX_RANGE_IN:g} in, found "
-                f"{self.min_range_in:g} and {self.max_range_in:g} in"
-            )
+            raise InvalidValue(f"expected a minimum below the maximum range and a maximum of at most {MAX_RANGE_IN:g} "
+                               f"in, found {self.min_range_in:g} and {self.max_range_in:g} in")
         if self.min_range_in < self.no_echo_in < self.max_range_in:
             raise InvalidValue(f"expected a no_echo reading outside of the ranges, found {self.no_echo_in:g}")
         if not MIN_RESOLUTION_IN <= self.resolution_in <= self.range_span_in:
-            raise InvalidValue(
-                f"expected a resolution from {MIN_RESOLUTION_IN:g} in to the range, found {self.resolution_in:g} in"
-            )
+            raise InvalidValue(f"expected a resolution from {MIN_RESOLUTION_IN:g} in to the range, found "
+                               f"{self.resolution_in:g} in")
         if not MIN_INTERVAL_S <= self.interval_s <= MAX_INTERVAL_S:
             raise InvalidValue(f"expected an interval of {MIN_INTERVAL_S:g} to {MAX_INTERVAL_S:g} s")
         fired = [sonar for group in self.firing for sonar in group]
@@ -200,9 +190,8 @@ class Ring:
             raise InvalidValue(f"expected mounts within {MAX_MOUNT_IN:g} in of the axis")
 
 
-def quantized_range(
-    range_in: float, min_range_in: float, max_range_in: float, resolution_in: float, no_echo_in: float
-) -> float:
+def quantized_range(range_in: float, min_range_in: float, max_range_in: float, resolution_in: float,
+                    no_echo_in: float) -> float:
     """Return the reading of a range; limits and resolution are those of a `Ring`."""
     if range_in >= max_range_in:
         return no_echo_in

@@ -94,9 +94,8 @@ def _keys(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for unit in INCHES_PER_UNIT)
 
 
-def table(
-    *one_of: tuple[str, ...], condition: dict[str, Any] | None = None, **tag: str
-) -> Callable[[type[T]], type[T]]:
+def table(*one_of: tuple[str, ...], condition: dict[str, Any] | None = None,
+          **tag: str) -> Callable[[type[T]], type[T]]:
     """Return a decorator that makes a msgspec struct of a class with annotations: a table of a file.
 
     Unknown keys are refused. A field in units is read from exactly one of NAME_in, NAME_cm, NAME_m, and is in inches;

@@ -308,10 +308,8 @@ class World:
         rooms = len(self.rooms)
         if rooms and not any(within[:rooms]):
             low, high = self._edges.reshape(-1, 2).min(axis=0), self._edges.reshape(-1, 2).max(axis=0)
-            return (
-                f"lies outside the world {self.name}, which spans x from {low[0]:g} to {high[0]:g} "
-                f"and y from {low[1]:g} to {high[1]:g} in"
-            )
+            return (f"lies outside the world {self.name}, which spans x from {low[0]:g} to {high[0]:g} and y from "
+                    f"{low[1]:g} to {high[1]:g} in")
         solids = [thing for thing, holds in zip(self.obstacles, within[rooms:], strict=True) if holds]
         return f"lies inside {_titled(solids[0], 'an obstacle')}" if solids else ""
 

@@ -106,11 +106,8 @@ class LinkStatistics:
         faults = [f"{count} {name.replace('_', ' ')}" for name, count in self.counts().items()
                   if count and name not in _NO_FAULTS]
         times = ", ".join(f"{part:.0%} within {1000 * self.latency_s(part):.3g} ms" for part in (0.5, 0.99))
-        return "\n".join([
-            f"{self.exchanges} exchanges, {self.answers} answers",
-            ", ".join(faults) or "no faults seen",
-            f"{times}, the longest {1000 * self.longest_s:.3g} ms" if self.answers else "no times yet",
-        ])
+        return "\n".join([f"{self.exchanges} exchanges, {self.answers} answers", ", ".join(faults) or "no faults seen",
+                          f"{times}, the longest {1000 * self.longest_s:.3g} ms" if self.answers else "no times yet"])
 
 
 _TIMES: Final = frozenset({"latencies", "longest_s"})
@@ -356,9 +353,8 @@ class KeepAlive(Wrapper):
             self._speed = speed / _REAL_TIME
 
 
-def _poll_until_end(
-    reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event], interval_s: float
-) -> None:
+def _poll_until_end(reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event],
+                    interval_s: float) -> None:
     """Poll until the end, with a strong reference only during a poll; stop the robot if it was dropped."""
     while True:
         try:

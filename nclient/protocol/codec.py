@@ -260,19 +260,16 @@ def clamp_to_serial(call: commands.Call) -> commands.Call:
     bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:
         return call
-    return commands.Call(call.name, tuple(
-        min(max(value, least), most) for value, (_, least, most) in zip(call.args, bounds, strict=True)
-    ))
+    return commands.Call(call.name, tuple(min(max(value, least), most)
+                                          for value, (_, least, most) in zip(call.args, bounds, strict=True)))
 
 
 def describe_serial_overflow(call: commands.Call) -> str:
     """Return an error text for the first argument out of its serial range; "" if all are in range."""
     for value, (name, least, most) in zip(call.args, serial_argument_bounds(call.name), strict=False):
         if isinstance(value, int) and not least <= value <= most:
-            return (
-                f"{call.name}: {name} is {value}, and a robot's own line carries {least} to {most} "
-                "(lengths in 1/10 inch, angles in 1/10 degree); stay within that, in several steps if need be"
-            )
+            return (f"{call.name}: {name} is {value}, and a robot's own line carries {least} to {most} (lengths in "
+                    "1/10 inch, angles in 1/10 degree); stay within that, in several steps if need be")
     return ""
 
 

@@ -90,9 +90,8 @@ def checked_readings(count: int, path: str) -> int:
 def check_laser(laser: Sequence[int], width: int, path: str) -> None:
     """Raise FormatFieldError if a laser vector's length does not match its count."""
     if len(laser) != 1 + width * checked_readings(laser[0], path):
-        raise FormatFieldError(
-            f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
-            f"not {len(laser) - 1}", path=path)
+        raise FormatFieldError(f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
+                               f"not {len(laser) - 1}", path=path)
 
 
 class Run:
@@ -544,10 +543,8 @@ class MotionWords:
         count = self._COUNTS[kind]
         if len(args) != 1 + count:
             raise WireError(f"motion_check {kind} takes {count} numbers after the type")
-        words = [
-            int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
-            for k, v in enumerate(args[1:])
-        ]
+        words = [int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
+                 for k, v in enumerate(args[1:])]
         return (kind, *words, *[0] * (7 - count))
 
     @staticmethod

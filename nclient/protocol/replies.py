@@ -255,9 +255,8 @@ def _line_query(kind: str, position: Position, **readings: Construct) -> LineLay
 LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=layouts.LineNibbles(1, 16, masked=False))
 LINE_SONAR = _line_query("sonar", Position.SONAR, slots=layouts.LineSlots(17, 32, layouts.BYTES, masked=False))
 LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=layouts.BumperBytes(BUMPER_SLOT, masked=False))
-LINE_COMPASS = _line_query(
-    "compass", Position.COMPASS, slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False)
-)
+LINE_COMPASS = _line_query("compass", Position.COMPASS,
+                           slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False))
 LINE_LASER = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: types.PIXELS))
 LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: LINES))
 LINE_CONFIGURATION = LineLayout("configuration", slots=layouts.LineSlots(34, 37, layouts.SIGNED_SHORTS, masked=False))

@@ -67,12 +67,8 @@ class TcpFrameTap:
         return self._frames(self._replies.receive(data), reply=True)
 
     def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
-        return [
-            Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
-            if isinstance(item, TcpFrame)
-            else Frame(b"", item.reason)
-            for item in items
-        ]
+        return [Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
+                if isinstance(item, TcpFrame) else Frame(b"", item.reason) for item in items]
 
 
 class SerialFrameTap:

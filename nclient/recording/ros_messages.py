@@ -79,9 +79,8 @@ def scan(
             "ranges": [one + ring_m for one in ranges_m], "intensities": []}  # fmt: skip
 
 
-def sonar_range(
-    time_ns: int, robot: str, sonar: int, reading_m: float, limits_m: tuple[float, float], cone_rad: float
-) -> Message:
+def sonar_range(time_ns: int, robot: str, sonar: int, reading_m: float, limits_m: tuple[float, float],
+                cone_rad: float) -> Message:
     """Return a sonar's reading as Range, in the sonar's own frame."""
     return {
         "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": cone_rad,

@@ -174,9 +174,8 @@ class AcceptQueue:
         Called with the address of each rejected client, and the reason.
     """
 
-    def __init__(
-        self, listening: socket.socket, refusal: Callable[[str, str], str], on_rejected: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, listening: socket.socket, refusal: Callable[[str, str], str],
+                 on_rejected: Callable[[str, str], None]) -> None:
         self._listening = listening
         self._refusal, self._on_rejected = refusal, on_rejected
         self._pending: list[PendingConnection] = []

@@ -139,11 +139,8 @@ class ShadowReport:
 
     def summary(self) -> str:
         """Return one line: mean and standard deviation of the main quantities, and the number of one-sided echoes."""
-        parts = [
-            f"{name} {found.mean:+.2f} ± {found.std:.2f}"
-            for name, found in self.quantities.items()
-            if name in ("x_in", "y_in", "steering_deg", ALL_SONARS)
-        ]
+        parts = [f"{name} {found.mean:+.2f} ± {found.std:.2f}" for name, found in self.quantities.items()
+                 if name in ("x_in", "y_in", "steering_deg", ALL_SONARS)]
         one_sided = self.quantities[ALL_SONARS].one_sided
         return f"{self.states} states: {', '.join(parts)}; {one_sided} echoes measured by one alone"
 

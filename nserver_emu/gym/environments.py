@@ -232,9 +232,8 @@ class Episode(NamedTuple):
     poses_m: npt.NDArray[np.float64]
 
 
-def run_episode(
-    env: gymnasium.Env[Any, Any], policy: Policy, seed: int | None = None, options: dict[str, Any] | None = None
-) -> Episode:
+def run_episode(env: gymnasium.Env[Any, Any], policy: Policy, seed: int | None = None,
+                options: dict[str, Any] | None = None) -> Episode:
     """Drive an episode of an environment with a policy to its end."""
     observation, info = env.reset(seed=seed, options=options)
     poses, total = [info["pose_m"]], 0.0

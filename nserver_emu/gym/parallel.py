@@ -59,9 +59,8 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         """Return the space of a robot's actions: speed in m/s and turn rate in rad/s."""
         return self.action_spaces[agent]
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    def reset(self, seed: int | None = None,
+              options: dict[str, Any] | None = None) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Begin episodes of all robots; there are no options."""
         del options
         if seed is not None:
@@ -100,10 +99,8 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
 
     def _infos(self, is_success: npt.NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
         poses = self.runner.poses_m()
-        return {
-            agent: {"is_success": bool(is_success[self._row(agent)]), "pose_m": poses[self._row(agent)]}
-            for agent in self.agents
-        }
+        return {agent: {"is_success": bool(is_success[self._row(agent)]), "pose_m": poses[self._row(agent)]}
+                for agent in self.agents}
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return a picture of the world and its robots (height, width, 3), in the mode rgb_array."""

@@ -77,9 +77,8 @@ class Ros2Node:
     has_map : the world is that of the robots.
     """
 
-    def __init__(
-        self, daemon: Daemon, types: RosTypes, domain: int, config: str | None, estimates: Estimates, *, has_map: bool
-    ) -> None:
+    def __init__(self, daemon: Daemon, types: RosTypes, domain: int, config: str | None, estimates: Estimates, *,
+                 has_map: bool) -> None:
         self._daemon = daemon
         self._types = types
         self._error_boundary = ErrorBoundary("ros2")
@@ -255,9 +254,8 @@ class Ros2Node:
 
 
 @contextlib.asynccontextmanager
-async def running_node(
-    daemon: Daemon, distro: str, domain: int, config: str | None, estimates: Estimates, *, has_map: bool
-) -> AsyncIterator[None]:
+async def running_node(daemon: Daemon, distro: str, domain: int, config: str | None, estimates: Estimates, *,
+                       has_map: bool) -> AsyncIterator[None]:
     """Publish and subscribe a daemon's robots.
 
     Raises

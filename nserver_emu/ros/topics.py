@@ -126,9 +126,8 @@ def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
     yield f"{base}/odom", ros_messages.odometry(time_ns, frame, reading.pose, *reading.velocity)
     ring = reading.ring
     limits_m = ring.min_range_in * M_PER_IN, ring.max_range_in * M_PER_IN
-    readings_m = (
-        math.inf if one == ring.no_echo_in or one >= ring.max_range_in else one * M_PER_IN for one in reading.sonars
-    )
+    readings_m = (math.inf if one == ring.no_echo_in or one >= ring.max_range_in else one * M_PER_IN
+                  for one in reading.sonars)
     ranges = [ros_messages.range_m(one, limits_m[0]) for one in readings_m]
     if is_scan(ring):
         angles_rad = ring.angles_rad[: len(ranges)]
@@ -314,9 +313,8 @@ class RobotClock:
 class RobotReader:
     """Reads a daemon's robots and passes their messages to `publish`."""
 
-    def __init__(
-        self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, publish: Publish, estimates: Estimates
-    ) -> None:
+    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, publish: Publish,
+                 estimates: Estimates) -> None:
         self._daemon = daemon
         self._publish = publish
         self._estimates = estimates
@@ -359,9 +357,8 @@ class RobotReader:
             motors_v = None if raw is None else volts(raw, MOTOR_RANGE_V)
             self._publish_reading(robot, slots, motors_v, (reply.clock or 0) / 1000)
 
-    def _publish_reading(
-        self, robot: int, slots: list[int], motors_v: float | None, clock_s: float, readings_in: Sequence[float] = ()
-    ) -> None:
+    def _publish_reading(self, robot: int, slots: list[int], motors_v: float | None, clock_s: float,
+                         readings_in: Sequence[float] = ()) -> None:
         model = self._daemon.emulator.simulation.robots[robot].model
         time_ns = self._clocks[robot].time_ns(clock_s, time.time())
         ring = model.body.ring

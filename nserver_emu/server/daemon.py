@@ -106,9 +106,8 @@ class Daemon:
             If the port is taken; the message names `option`, with which the user chose it.
         """
         try:
-            admitted = partial(
-                admission.AdmissionProtocol, self.admission, self._client_hosts, new_connection, self._make_room
-            )
+            admitted = partial(admission.AdmissionProtocol, self.admission, self._client_hosts, new_connection,
+                               self._make_room)
             server = await admission.listen(admitted, host, port)
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"

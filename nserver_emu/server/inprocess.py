@@ -68,9 +68,8 @@ class InProcess:
         The session; None for one over TCP.
     """
 
-    def __init__(
-        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: BaseSession[Any] | None = None
-    ) -> None:
+    def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S,
+                 session: BaseSession[Any] | None = None) -> None:
         self.emulator = emulator
         emulator.clock.lockstep_s = step_s
         self._session = session or Session(emulator.answer, "in process")

@@ -272,10 +272,8 @@ def at_port(host: str, port: int) -> str:
 
 
 def _lines(daemon: Daemon, requested: list[RequestedLine]) -> list[tuple[RobotLine, str]]:
-    return [
-        (robot_line(daemon, number if robot_id is None else robot_id), place)
-        for number, (place, robot_id) in enumerate(requested, start=1)
-    ]
+    return [(robot_line(daemon, number if robot_id is None else robot_id), place)
+            for number, (place, robot_id) in enumerate(requested, start=1)]
 
 
 async def _open_robotd(daemon: Daemon, robot: RobotLine, host: str, port: int) -> str:

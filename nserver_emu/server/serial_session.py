@@ -178,9 +178,8 @@ class FaultyChannel:
         The channel behind the faults; None for no delay.
     """
 
-    def __init__(
-        self, language: Language, injector: Callable[[], Injector], channel: SerialChannel | None = None
-    ) -> None:
+    def __init__(self, language: Language, injector: Callable[[], Injector],
+                 channel: SerialChannel | None = None) -> None:
         self._line = FaultyLine(language, injector)
         self._channel = ImmediateChannel() if channel is None else channel
         # Bytes delayed by a fault, to the robot and to the host.

@@ -617,9 +617,8 @@ class PoseRequests:
         self.open = False
         self._requests: list[PoseRequest] = []
 
-    def add(
-        self, robot_id: int, context: ConnectionContext, default: Callable[[], ClickedPose]
-    ) -> Callable[[], ClickedPose | None]:
+    def add(self, robot_id: int, context: ConnectionContext,
+            default: Callable[[], ClickedPose]) -> Callable[[], ClickedPose | None]:
         """Request a pose of a robot.
 
         Returns

@@ -227,9 +227,8 @@ class Ping(NamedTuple):
     noise: tuple[float, ...]
 
 
-relative_std: Any = partial(
-    setting, low=0, high=1, unit="", meaning="standard deviation of a range relative to it", former="std_share"
-)
+relative_std: Any = partial(setting, low=0, high=1, unit="", meaning="standard deviation of a range relative to it",
+                            former="std_share")
 """The setting `range_std_relative` of every sensor that measures ranges."""
 
 _std_floor: Any = partial(setting, low=0, high=10, unit="in", meaning="lower bound of that", former="least_std_in")

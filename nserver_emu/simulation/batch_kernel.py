@@ -246,9 +246,8 @@ def make_loops(sources: int) -> Loops:
             robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls, ranges)
         assert sources >= 0
 
-    def command(
-        robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool, timeout_ps: int
-    ) -> None:
+    def command(robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool,
+                timeout_ps: int) -> None:
         for i in range(len(robots)):
             if mask[i]:
                 _command(robots[i], settings[0], values[i], is_relative, timeout_ps)
@@ -490,9 +489,8 @@ def _contact(
     return collision.find_contact(placed, settings["radius_in"], capsules)
 
 
-def _walls_within(
-    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, distance_in: float
-) -> list[Capsule]:
+def _walls_within(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray,
+                  distance_in: float) -> list[Capsule]:
     """Return the walls within a distance, and update the clearance; `gaps` (m,) is overwritten."""
     begin, end = robot["wall_begin"], robot["wall_end"]
     radius_in, x_in, y_in = settings["radius_in"], robot["pose"][X], robot["pose"][Y]

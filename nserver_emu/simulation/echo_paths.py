@@ -260,9 +260,8 @@ def level_in(row: int, along_in: float, reflectors: Reflectors) -> float:
 Echo = tuple[float, float, float, float, float, float, float]
 
 
-def off_walls(
-    pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror], reflectors: Reflectors
-) -> list[Echo]:
+def off_walls(pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+              reflectors: Reflectors) -> list[Echo]:
     """Return the echoes off one wall."""
     out, back = pair.out, pair.back
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]
@@ -296,9 +295,8 @@ def off_edges(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: f
         end_x, end_y = x2, y2
 
 
-def off_edge(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, walls: list[Wall]
-) -> None:
+def off_edge(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float,
+             walls: list[Wall]) -> None:
     """Add the echo off an end of a wall."""
     range_in = scattered_range(pair, losses, nearest_in, x, y, 0.0, 0.0, losses.edge_loss_db)
     if range_in < nearest_in and is_edge(x, y, walls):
@@ -340,9 +338,8 @@ def is_edge(x: float, y: float, walls: list[Wall]) -> bool:
 # Paths off another robot
 
 
-def off_disc(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, disc: tuple[float, float, float]
-) -> None:
+def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float,
+             disc: tuple[float, float, float]) -> None:
     """Add the specular echo of a disc, and those scattered by it.
 
     A bundle of rays in the plane that a disc of radius r reflects is spread by 1 + 2 a b / ((a + b) r cos(incidence)),
@@ -442,9 +439,8 @@ def over_walls_to_disc(
 # Paths off two walls
 
 
-def off_two_walls(
-    pair: Pair, losses: Attenuation, nearest_in: float, firsts: list[Mirror], lasts: list[Mirror]
-) -> list[Echo]:
+def off_two_walls(pair: Pair, losses: Attenuation, nearest_in: float, firsts: list[Mirror],
+                  lasts: list[Mirror]) -> list[Echo]:
     """Return the echoes off two walls."""
     out, back = pair.out, pair.back
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]

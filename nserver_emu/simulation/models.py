@@ -44,9 +44,8 @@ from worlds.schema import INCHES_PER_UNIT, read_text
 
 T = TypeVar("T")
 
-ROLLING: Final = AxisLimits(
-    top_speed=20.0, top_acceleration=60.0, min_acceleration=0.1, speed=20.0, acceleration=30.0, resolution=0.1
-)
+ROLLING: Final = AxisLimits(top_speed=20.0, top_acceleration=60.0, min_acceleration=0.1, speed=20.0, acceleration=30.0,
+                            resolution=0.1)
 """Translation of the synchro drives: inches and seconds."""
 
 TURNING: Final = AxisLimits(
@@ -55,9 +54,8 @@ TURNING: Final = AxisLimits(
 )  # fmt: skip
 """Steering and turret of the synchro drives: radians and seconds."""
 
-WHEEL: Final = AxisLimits(
-    top_speed=39.0, top_acceleration=60.0, min_acceleration=0.1, speed=39.0, acceleration=30.0, resolution=0.1
-)
+WHEEL: Final = AxisLimits(top_speed=39.0, top_acceleration=60.0, min_acceleration=0.1, speed=39.0, acceleration=30.0,
+                          resolution=0.1)
 """A wheel of the Scout: inches and seconds."""
 
 SCOUT_WHEEL_IN_PER_DEGREE: Final = 0.118597

@@ -156,9 +156,8 @@ def setup_named(name: str) -> RobotSetup:
     if name in SETUPS:
         return SETUPS[name]
     if not name.endswith(SUFFIX):
-        raise AddressError(
-            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{suggest(name, SETUPS)}"
-        )
+        raise AddressError(f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in "
+                           f"{SUFFIX}{suggest(name, SETUPS)}")
     return load_setup(Path(name))
 
 

@@ -91,9 +91,8 @@ def _walk_std(first_alpha: float, first: float, second_alpha: float, second: flo
     return sqrt(first_alpha * abs(first) + second_alpha * abs(second))
 
 
-def disturbed_segment(
-    segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float, turn_normal: float
-) -> ConstantAccelerationSegment:
+def disturbed_segment(segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float,
+                      turn_normal: float) -> ConstantAccelerationSegment:
     """Return a segment that moves with noise: the same duration, another length, and a turn of the body.
 
     Parameters
@@ -163,9 +162,8 @@ class Odometry:
         return erroneous_segment(segment, track_in, self.scales, self.drifts)
 
 
-def erroneous_segment(
-    segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float], drifts: Sequence[float]
-) -> ConstantAccelerationSegment:
+def erroneous_segment(segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float],
+                      drifts: Sequence[float]) -> ConstantAccelerationSegment:
     """Return the true motion of a drive of this track for a commanded one; errors as those of `Odometry`."""
     # 1. Scale errors of both axes. Those of a synchro drive are speed and turn rate themselves.
     if track_in == NO_TRACK:

@@ -207,10 +207,8 @@ class Simulation:
         self.world.require_free(x_in, y_in, radius_in)
         for number, (x, y, radius) in self.spatial_hash.touched(x_in, y_in, radius_in):
             if number != robot_id:
-                raise StartError(
-                    f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
-                    f"{radius_in + radius:g} in from there there is room"
-                )
+                raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, "
+                                 f"{y:.1f}) in; {radius_in + radius:g} in from there there is room")
         if walker := self.touched_walker(x_in, y_in, radius_in):
             x, y, _ = walker
             raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches a walker, who is at ({x:.1f}, {y:.1f}) in")

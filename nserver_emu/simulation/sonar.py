@@ -67,9 +67,8 @@ class SonarNoise(SonarErrors):
         """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""
         return (rng.standard_normal(),) if self.has_noise else (0.0,)
 
-    def measured_ranges(
-        self, pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray, body: Body
-    ) -> list[float]:
+    def measured_ranges(self, pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray,
+                        body: Body) -> list[float]:
         """Return the range from the ring along each ray to a wall (m, 4) or a robot, with noise, inches; inf for none.
 
         The number of rays in a call changes no bit of the result.
@@ -115,14 +114,10 @@ def ranges_from_axis(pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], 
     NEAREST_OBSTACLE.count_calls(len(rays))
     if NEAREST_OBSTACLE.is_compiled:
         cast = NEAREST_OBSTACLE.run
-        return [
-            cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in)
-            for ray, pose in zip(rays, sensor_poses, strict=True)
-        ]
-    return [
-        nearest_disc(*ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in)
-        for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)
-    ]
+        return [cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in)
+                for ray, pose in zip(rays, sensor_poses, strict=True)]
+    return [nearest_disc(*ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in)
+            for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)]
 
 
 IDEAL_SONAR: Final = SonarNoise()
@@ -163,9 +158,8 @@ class SonarRing:
         The instant of the next firing; TIME_MAX_PS if the ring is off.
     """
 
-    def __init__(
-        self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator, surface_seed: int = 0
-    ) -> None:
+    def __init__(self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator,
+                 surface_seed: int = 0) -> None:
         self.body = body
         self.model = model
         self._surface_seed = surface_seed
@@ -193,11 +187,8 @@ class SonarRing:
     def set_state(self, state: SonarState, now_ps: int) -> None:
         """Continue from a state; raise ValueError if it is not one of a ring."""
         # An interval and an order bound the number of firings in a step.
-        if state.due_ps != TIME_MAX_PS and not (
-            state.firing
-            and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
-            and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS
-        ):
+        if state.due_ps != TIME_MAX_PS and not (state.firing and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
+                                                and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS):
             raise ValueError("a sonar ring without an interval or an order")
         # One value per sonar, each in its range.
         ring = self._ring

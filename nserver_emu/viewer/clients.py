@@ -65,9 +65,8 @@ class ErrorBoundary:
         self.counts[kind] += 1
         if self.counts[kind] == 1:
             suffix = f" of {viewer}" if viewer else ""
-            log.error(
-                "%s: %s%s: internal error, all else goes on (logged once)", self.server, place, suffix, exc_info=error
-            )
+            log.error("%s: %s%s: internal error, all else goes on (logged once)", self.server, place, suffix,
+                      exc_info=error)
 
 
 @dataclass(slots=True)

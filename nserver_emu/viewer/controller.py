@@ -257,9 +257,8 @@ class ViewerController:
 
         self.clients(viewer).call(message.robot, message.call, message.args, finish)
 
-    def _answer_later(
-        self, viewer: Viewer, number: int, answer: Coroutine[Any, Any, Answer], place: str, *, is_world: bool = False
-    ) -> None:
+    def _answer_later(self, viewer: Viewer, number: int, answer: Coroutine[Any, Any, Answer], place: str, *,
+                      is_world: bool = False) -> None:
         """Send a viewer an answer for which files are read in a thread; `place` is for the log."""
         reading = asyncio.create_task(answer)
         self._reading[reading] = viewer if is_world else None
@@ -334,11 +333,8 @@ class ViewerController:
 
     def others(self, viewer: Viewer, robot: int) -> list[str]:
         """Return the names of the other viewers that drive this robot now."""
-        return [
-            clients.name
-            for other, clients in self._clients.items()
-            if other is not viewer and clients.is_driving(robot)
-        ]
+        return [clients.name for other, clients in self._clients.items() if other is not viewer
+                and clients.is_driving(robot)]
 
     def robots(self, named: int | None) -> list[int]:
         """Return the robots that a message is about: the one it names, or all. Raises InvalidMessage."""

@@ -144,13 +144,10 @@ class SceneHistory:
         self._modes = modes or {}
         # 1. The laser, in every LASER_INTERVAL-th picture, if a page shows it.
         if (lasers is None or lasers) and (self.number + 1) % LASER_INTERVAL == 0:
-            measured = {
-                str(number): _laser_points(robot)
-                for number, robot in self._server_state.simulation.robots.items()
-                if robot.model.has_light_sensors
-                and (lasers is None or number in lasers)
-                and is_shown(self._modes.get(number, []))
-            }
+            measured = {str(number): _laser_points(robot)
+                        for number, robot in self._server_state.simulation.robots.items()
+                        if robot.model.has_light_sensors and (lasers is None or number in lasers)
+                        and is_shown(self._modes.get(number, []))}
             # The last points must be cleared once, so an empty measurement after a full one counts.
             self._lasers_taken += bool(measured or self._lasers)
             self._lasers = measured

@@ -194,9 +194,8 @@ def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int,
 # Bumpers and sonars.
 
 
-def _reading(
-    server: ServerState, context: ConnectionContext, _args: tuple[int, ...], sensor: server_state.StateSensor
-) -> Reply:
+def _reading(server: ServerState, context: ConnectionContext, _args: tuple[int, ...],
+             sensor: server_state.StateSensor) -> Reply:
     """Return all readings of a sensor regardless of the mask, which selects the stamps only."""
     robot, now_s = server.robot_of(context), server.simulation.time_s
     values = sensor.values(robot)

@@ -150,9 +150,8 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured, **named}
 
 
-def _wanted_wall(
-    world: World, wanted: Mapping[str, Any]
-) -> tuple[int, tuple[Point, ...] | None, tuple[Point, ...] | None]:
+def _wanted_wall(world: World,
+                 wanted: Mapping[str, Any]) -> tuple[int, tuple[Point, ...] | None, tuple[Point, ...] | None]:
     """Return the row of an inner wall, its ends, and its new ends; None where there is none."""
     if "put" in wanted:
         return len(world.inner_walls), None, read_points(wanted["put"])
