@@ -95,10 +95,8 @@ class Connector:
         If address and caller name different robots.
     """
 
-    def __init__(
-        self, address: Address, options: ConnectOptions = ConnectOptions(), *,
-        injector: Callable[[], Injector] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, address: Address, options: ConnectOptions = ConnectOptions(), *,
+                 injector: Callable[[], Injector] | None = None) -> None:
         self.address = address
         self.timeout_s = options.timeout_s if address.options.timeout_s is None else address.options.timeout_s
         self.robot_id = _agreed_robot_id(address, options)
@@ -204,10 +202,8 @@ class Connector:
         if self.wire == TCP:
             return self._start_tcp(stream)
         checks = self.address.options.checks
-        return DirectBackend(
-            stream, self.model, hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
-            timeout_s=self.timeout_s, checks=True if checks is None else checks, link=self.link,
-        )  # fmt: skip
+        return DirectBackend(stream, self.model, hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
+                             timeout_s=self.timeout_s, checks=True if checks is None else checks, link=self.link)
 
     def _start_tcp(self, stream: ByteStream) -> NserverBackend:
         return NserverBackend(

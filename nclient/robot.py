@@ -192,11 +192,9 @@ class Robot:
 
     # -- motion -------------------------------------------------------------------------------------------------------
 
-    def drive(
-        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
-        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def drive(self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
+              steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+              turret_deg_s: float | None = None, turret_rad_s: float | None = None) -> RobotState:
         """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm.
 
         Parameters
@@ -217,11 +215,9 @@ class Robot:
                                   tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
                                   tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
-    def move(
-        self, *, translation_in: float | None = None, translation_m: float | None = None,
-        steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move(self, *, translation_in: float | None = None, translation_m: float | None = None,
+             steering_deg: float | None = None, steering_rad: float | None = None,
+             turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr.
 
         Parameters
@@ -242,11 +238,9 @@ class Robot:
                                   tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
                                   tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
-    def move_to(
-        self, *, translation_in: float | None = None, translation_m: float | None = None,
-        steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move_to(self, *, translation_in: float | None = None, translation_m: float | None = None,
+                steering_deg: float | None = None, steering_rad: float | None = None,
+                turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa.
 
         Units as in `move`. Raises RobotRefused for other models and for servers.
@@ -268,19 +262,15 @@ class Robot:
         """
         return self._command("mv", *translation, *steering, *turret)
 
-    def drive_wheels(
-        self, *, right_in_s: float | None = None, left_in_s: float | None = None,
-        right_m_s: float | None = None, left_m_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def drive_wheels(self, *, right_in_s: float | None = None, left_in_s: float | None = None,
+                     right_m_s: float | None = None, left_m_s: float | None = None) -> RobotState:
         """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
         self._require_wheels("vm")
         right = tenths_of(right_in_s=right_in_s, right_m_s=right_m_s)
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
-    def move_wheels(
-        self, *, right_in: float | None = None, left_in: float | None = None,
-        right_m: float | None = None, left_m: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move_wheels(self, *, right_in: float | None = None, left_in: float | None = None,
+                    right_m: float | None = None, left_m: float | None = None) -> RobotState:
         """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
         self._require_wheels("pr")
         right = tenths_of(right_in=right_in, right_m=right_m)
@@ -358,11 +348,9 @@ class Robot:
 
     # -- settings -----------------------------------------------------------------------------------------------------
 
-    def set_speeds(
-        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
-        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_speeds(self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
+                   steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+                   turret_deg_s: float | None = None, turret_rad_s: float | None = None) -> RobotState:
         """Set the speeds of `move`; an axis that is not given gets 0. C: sp.
 
         Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
@@ -371,11 +359,9 @@ class Robot:
                               tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
                               tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
-    def set_accelerations(
-        self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
-        steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
-        turret_deg_s2: float | None = None, turret_rad_s2: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_accelerations(self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
+                          steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
+                          turret_deg_s2: float | None = None, turret_rad_s2: float | None = None) -> RobotState:
         """Set the accelerations; an axis that is not given gets 0. C: ac.
 
         Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
@@ -384,17 +370,13 @@ class Robot:
                               tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
                               tenths_of(turret_deg_s2=turret_deg_s2, turret_rad_s2=turret_rad_s2))
 
-    def set_position(
-        self, *, x_in: float | None = None, y_in: float | None = None,
-        x_m: float | None = None, y_m: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_position(self, *, x_in: float | None = None, y_in: float | None = None,
+                     x_m: float | None = None, y_m: float | None = None) -> RobotState:
         """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
-    def set_angles(
-        self, *, steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_angles(self, *, steering_deg: float | None = None, steering_rad: float | None = None,
+                   turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""
         steering = tenths_of(steering_deg=steering_deg, steering_rad=steering_rad)
         return self._command("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
@@ -411,10 +393,8 @@ class Robot:
         """
         return self._command("conf_tm", _whole_seconds(timeout_s))
 
-    def select_sensors(
-        self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
-        motion: bool = True, compass: bool = True, laser: bool = True,
-    ) -> RobotState:  # fmt: skip
+    def select_sensors(self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
+                       motion: bool = True, compass: bool = True, laser: bool = True) -> RobotState:
         """Select the sensors whose readings replies carry; others keep their last reading. C: ct.
 
         Parameters
@@ -433,10 +413,8 @@ class Robot:
         mask = Mask((position, *rings, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
         return self._command("ct", *mask.smask)
 
-    def position_data(
-        self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False, laser: bool = False,
-        compass: bool = False,
-    ) -> RobotState:  # fmt: skip
+    def position_data(self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False,
+                      laser: bool = False, compass: bool = False) -> RobotState:
         """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
         # The order of Position's members: bit 0 infrareds to bit 4 compass.
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
@@ -637,10 +615,9 @@ class Robot:
         """Remove the polygon with these corners. C: delete_obstacle."""
         self._query("delete_obstacle", *_polygon(corners_in, corners_m))
 
-    def move_obstacle(
-        self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
-        corners_m: Points | None = None, shift_m: tuple[float, float] | None = None,
-    ) -> tuple[tuple[float, float], ...]:  # fmt: skip
+    def move_obstacle(self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
+                      corners_m: Points | None = None,
+                      shift_m: tuple[float, float] | None = None) -> tuple[tuple[float, float], ...]:
         """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
         # Inches or metres, but the same unit for corners and shift is not required.
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
@@ -722,11 +699,9 @@ class Robot:
         """
         self._query("draw_line", *points_tenths(points_in, points_m), mode)
 
-    def draw_arc(
-        self, *, box_in: tuple[float, float, float, float] | None = None,
-        box_m: tuple[float, float, float, float] | None = None, angles_rad: tuple[float, float] = (0.0, math.tau),
-        mode: int = 1,
-    ) -> None:  # fmt: skip
+    def draw_arc(self, *, box_in: tuple[float, float, float, float] | None = None,
+                 box_m: tuple[float, float, float, float] | None = None,
+                 angles_rad: tuple[float, float] = (0.0, math.tau), mode: int = 1) -> None:
         """Draw an arc of an ellipse. C: draw_arc.
 
         Parameters

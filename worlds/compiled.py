@@ -145,10 +145,8 @@ class CompiledFunction:
         Arguments of the types that compiled code is made for.
     """
 
-    def __init__(
-        self, function: Callable[..., Any], sources: Callable[[], Sequence[ModuleType]],
-        example: Callable[[], tuple[Any, ...]],
-    ) -> None:  # fmt: skip
+    def __init__(self, function: Callable[..., Any], sources: Callable[[], Sequence[ModuleType]],
+                 example: Callable[[], tuple[Any, ...]]) -> None:
         self.run = self._plain = function
         """The function, plain or compiled."""
         self.is_compiled = False

@@ -279,9 +279,8 @@ def route_error(world: World, walker: Walker) -> str:
     counts = np.ceil(lengths(legs) / walker.radius_in).astype(np.intp) + 1
     if counts.sum() > MAX_ROUTE_CHECKS:
         return f"expected a shorter route: at most {MAX_ROUTE_CHECKS} times the walker's radius"
-    on_route = np.concatenate([
-        np.linspace(leg[:2], leg[2:], count) for leg, count in zip(legs, counts.tolist(), strict=True)
-    ])  # fmt: skip
+    on_route = np.concatenate([np.linspace(leg[:2], leg[2:], count)
+                               for leg, count in zip(legs, counts.tolist(), strict=True)])
     blocked = np.flatnonzero(replace(world, doors=()).clearances(on_route) <= 0.9 * walker.radius_in)
     if not blocked.size:
         return ""

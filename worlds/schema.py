@@ -129,10 +129,8 @@ def table(*one_of: tuple[str, ...], condition: dict[str, Any] | None = None,
         members["__post_init__"] = lambda self: _check_groups(self, groups)
         members["CONDITIONS"] = [*(at_most_one(*group) for group in groups), *([condition] if condition else [])]
         key, value = next(iter(tag.items()), (None, None))
-        made: Any = msgspec.defstruct(
-            cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__, frozen=True, kw_only=True,
-            forbid_unknown_fields=True, tag_field=key, tag=value,
-        )  # fmt: skip
+        made: Any = msgspec.defstruct(cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__,
+                                      frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field=key, tag=value)
         return made  # type: ignore[no-any-return]
 
     return build

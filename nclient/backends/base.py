@@ -252,10 +252,8 @@ class KeepAlive(Wrapper):
         Seconds.
     """
 
-    def __init__(
-        self, inner: Backend, timeout_s: int = DEFAULT_TIMEOUT_S, *, feeds: bool = True,
-        at_least_every_s: float = float("inf"), clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    def __init__(self, inner: Backend, timeout_s: int = DEFAULT_TIMEOUT_S, *, feeds: bool = True,
+                 at_least_every_s: float = float("inf"), clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(inner)
         self._timeout_s = timeout_s
         self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
@@ -270,10 +268,9 @@ class KeepAlive(Wrapper):
         self._last_request_s = clock()
         self._active = self._set_timeout(inner)
         """False if the other end has no motion timeout, or the program controls it."""
-        self._thread = threading.Thread(
-            target=_poll_until_end, args=(weakref.ref(self), inner, self._events, self._interval_s),
-            name="nomad-keep-alive", daemon=True,
-        )  # fmt: skip
+        self._thread = threading.Thread(target=_poll_until_end,
+                                        args=(weakref.ref(self), inner, self._events, self._interval_s),
+                                        name="nomad-keep-alive", daemon=True)
         if feeds and self._active:
             self._thread.start()
             # At the end of the program, which ends the thread, the timeout stops the robot.

@@ -241,10 +241,9 @@ class DirectBackend:
     port = 1
     """As connect_robot of the C library returns."""
 
-    def __init__(
-        self, stream: ByteStream, model: Model, *, hello: bool = False, timeout_s: float | None = None,
-        checks: bool = True, link: LinkStatistics | None = None, clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    def __init__(self, stream: ByteStream, model: Model, *, hello: bool = False, timeout_s: float | None = None,
+                 checks: bool = True, link: LinkStatistics | None = None,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
         self.link = link or LinkStatistics()
         self._line = SerialLink(stream, self.link, clock)

@@ -479,10 +479,8 @@ class ReconnectingBackend(Wrapper):
         Waits for that many seconds, or less if the backend is closed.
     """
 
-    def __init__(
-        self, inner: Backend, open_session: Callable[[], Backend], max_pause_s: float = MAX_PAUSE_S, *,
-        clock: Callable[[], float] = time.monotonic, wait: Callable[[float], object] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, inner: Backend, open_session: Callable[[], Backend], max_pause_s: float = MAX_PAUSE_S, *,
+                 clock: Callable[[], float] = time.monotonic, wait: Callable[[float], object] | None = None) -> None:
         super().__init__(inner)
         self._open_session = open_session
         self._max_pause_s = max_pause_s

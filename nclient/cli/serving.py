@@ -299,10 +299,8 @@ def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: 
     to_near.join()
 
 
-def _forward_direction(
-    source: ByteStream, target: ByteStream, finished: threading.Event, observe: Callable[[bytes], None],
-    should_end: Callable[[bool], bool],
-) -> None:  # fmt: skip
+def _forward_direction(source: ByteStream, target: ByteStream, finished: threading.Event,
+                       observe: Callable[[bytes], None], should_end: Callable[[bool], bool]) -> None:
     """Forward until `finished`, a lost connection, or `should_end`, which is called with True if nothing was read.
 
     A lost connection is reported once, by the direction that notices it first.

@@ -317,10 +317,8 @@ class Injector:
                 return []
         return [Delivery(delay_s, data)]
 
-    def _apply(
-        self, data: bytes, fault: faults.Alteration | faults.Drop | faults.Blackout | faults.Nak | faults.Noise,
-        state: RuleState, now_s: float, nak: bytes,
-    ) -> bytes:  # fmt: skip
+    def _apply(self, data: bytes, fault: faults.Alteration | faults.Drop | faults.Blackout | faults.Nak | faults.Noise,
+               state: RuleState, now_s: float, nak: bytes) -> bytes:
         """Return the bytes after a fault, empty if it drops the frame."""
         match fault:
             case faults.Drop():

@@ -225,10 +225,8 @@ def _narrow(payload: bytes, reply: bool) -> bytes:
 MAX_BYTE = 255
 # Serial numbers are sign-magnitude, so that a signed one ends at -0x7FFF.
 _SIGNED, _UNSIGNED, _BYTE = (-0x7FFF, 0x7FFF), (0, 0xFFFF), (0, MAX_BYTE)
-_RANGES = (
-    (layouts.LINE_SIGNED, _SIGNED), (layouts.LINE_UNSIGNED, _UNSIGNED),
-    (layouts.LINE_BYTE, _BYTE), (layouts.HISTORY_BYTE, _BYTE), (layouts.LASER_MODE_BYTE, _BYTE),
-)  # fmt: skip
+_RANGES = ((layouts.LINE_SIGNED, _SIGNED), (layouts.LINE_UNSIGNED, _UNSIGNED), (layouts.LINE_BYTE, _BYTE),
+           (layouts.HISTORY_BYTE, _BYTE), (layouts.LASER_MODE_BYTE, _BYTE))
 # Range of an argument that has another form on the serial line, such as the flags of ws.
 _FREE = (-(1 << 31), (1 << 31) - 1)
 _NOT_NEGATIVE = (0, _FREE[1])

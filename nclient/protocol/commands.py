@@ -77,10 +77,8 @@ class Command:
     """True if the number of arguments varies."""
 
 
-def _row(
-    name: str, method: str, types: tuple[int | None, int | None], arguments: Iterable[Argument],
-    reply: tuple[TcpLayout, LineLayout], summary: str, **special: Any
-) -> Command:  # fmt: skip
+def _row(name: str, method: str, types: tuple[int | None, int | None], arguments: Iterable[Argument],
+         reply: tuple[TcpLayout, LineLayout], summary: str, **special: Any) -> Command:
     arguments = tuple(arguments)
     count = len(arguments)
     are_flags = [argument.is_flag for argument in arguments]

@@ -201,10 +201,8 @@ def summarize_error(error: Exception) -> str:
 
 # Layouts over TCP (docs/protocol.md). A state reply is the State vector of 45 words, the laser block, stamps for
 # the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
-STATE = TcpLayout(
-    "state", slots=range(LAST_TCP_SLOT + 1), laser_width=attrgetter("laser_width"), stamps=tuple(Position),
-    has_clock=True, has_volts=True,
-)  # fmt: skip
+STATE = TcpLayout("state", slots=range(LAST_TCP_SLOT + 1), laser_width=attrgetter("laser_width"),
+                  stamps=tuple(Position), has_clock=True, has_volts=True)
 # get_ir, get_sn: 16 values, stamps, clock. get_bp, get_cp: one value, stamp, clock.
 INFRARED = TcpLayout("infrared", slots=range(1, 17), stamps=(Position.INFRARED,), has_clock=True)
 SONAR = TcpLayout("sonar", slots=range(17, 33), stamps=(Position.SONAR,), has_clock=True)

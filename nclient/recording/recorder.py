@@ -229,10 +229,8 @@ class Recorder:
         Returns the time from which a server takes the age of an incomplete serial frame, recorded as `at`.
     """
 
-    def __init__(
-        self, log: RecordingWriter, clock: Callable[[], float] | None = None,
-        line_clock: Callable[[], float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, log: RecordingWriter, clock: Callable[[], float] | None = None,
+                 line_clock: Callable[[], float] | None = None) -> None:
         self._log = log
         self._clock = clock
         self.line_clock = line_clock
@@ -276,10 +274,8 @@ class Recorder:
         """Record a change of the simulation that no request caused."""
         self.write(TIME, "", 0.0, more=dict(what))
 
-    def write(
-        self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
-        decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None,
-    ) -> None:  # fmt: skip
+    def write(self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
+              decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None) -> None:
         """Write an entry, with the time steps before it."""
         # A given clock, such as that of a simulation, replaces the robot's.
         now_s = round(robots_clock_s if self._clock is None else self._clock(), _DIGITS)
@@ -419,10 +415,8 @@ class ClientRecording:
         If the file cannot be created.
     """
 
-    def __init__(
-        self, path: Path, address: str, line: str, model: Model, clock: Callable[[], float] | None = None,
-        started: datetime | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, path: Path, address: str, line: str, model: Model, clock: Callable[[], float] | None = None,
+                 started: datetime | None = None) -> None:
         header = {
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),

@@ -291,7 +291,5 @@ def _about(group: str) -> str:
 
 def _add_argument(command: argparse.ArgumentParser, row: ControlCommand) -> None:
     if row.argument:
-        command.add_argument(
-            "argument", metavar=row.argument, nargs="*" if row.argument == WORDS else None,
-            choices=_CHOICES.get(row.name), type=Path if row.argument in _FILES else str,
-        )  # fmt: skip
+        command.add_argument("argument", metavar=row.argument, nargs="*" if row.argument == WORDS else None,
+                             choices=_CHOICES.get(row.name), type=Path if row.argument in _FILES else str)

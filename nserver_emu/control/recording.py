@@ -91,10 +91,8 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace, 
         _check_beside(parser, options, words, "restore", "snapshot", DECIDED)
 
 
-def _check_beside(
-    parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str, file: str,
-    decided: Iterable[str],
-) -> None:  # fmt: skip
+def _check_beside(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str,
+                  file: str, decided: Iterable[str]) -> None:
     # Options, worlds and old setup files that the file decides.
     conflicts = _as_written(given_options(parser, words, decided))
     if len(options.files) > len(options.setups):

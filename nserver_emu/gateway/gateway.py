@@ -335,10 +335,8 @@ class RealRobotProxy:
     feed_s : longest time without a request to an owned robot, in seconds.
     """
 
-    def __init__(
-        self, open_backend: Callable[[], Backend], clock: Callable[[], float], *, read_only: bool = False,
-        feed_s: float = TIMEOUT_S / 3,
-    ) -> None:  # fmt: skip
+    def __init__(self, open_backend: Callable[[], Backend], clock: Callable[[], float], *, read_only: bool = False,
+                 feed_s: float = TIMEOUT_S / 3) -> None:
         self.ownership = Ownership(read_only=read_only)
         self.active = True
         """True while connections drive this robot, False while they drive the simulated one."""

@@ -92,11 +92,9 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
         Fields of `RunnerOptions`, but no address.
     """
 
-    def __init__(
-        self, num_envs: int, task: Task, *, max_episode_steps: int | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
-        threads: int | None = None, **options: Any
-    ) -> None:  # fmt: skip
+    def __init__(self, num_envs: int, task: Task, *, max_episode_steps: int | None = None,
+                 autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
+                 threads: int | None = None, **options: Any) -> None:
         self._autoreset_mode = AutoresetMode(autoreset_mode)
         if self._autoreset_mode is AutoresetMode.SAME_STEP:
             raise ValueError("expected the autoreset mode NextStep or Disabled, got SameStep")

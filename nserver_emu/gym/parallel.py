@@ -34,15 +34,12 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         Fields of `RunnerOptions`, but no address.
     """
 
-    def __init__(
-        self, robots: int = 4, task: Task | None = None, *, max_steps: int = 300, render_mode: str | None = None,
-        world: Any = "arena", **options: Any
-    ) -> None:  # fmt: skip
+    def __init__(self, robots: int = 4, task: Task | None = None, *, max_steps: int = 300,
+                 render_mode: str | None = None, world: Any = "arena", **options: Any) -> None:
         if options.get("address") is not None:
             raise ValueError("several robots are not connected to: use an environment for each address")
-        self.metadata = {
-            "name": "nomad_v0", "render_modes": ["rgb_array"], "render_fps": RENDER_FPS, "is_parallelizable": True,
-        }  # fmt: skip
+        self.metadata = {"name": "nomad_v0", "render_modes": ["rgb_array"], "render_fps": RENDER_FPS,
+                         "is_parallelizable": True}
         self.runner = TaskRunner(task or GoTo(), RunnerOptions(world=world, **options), robots)
         self.render_mode, self._max_steps, self._steps = render_mode, max_steps, 0
         self.possible_agents = [f"robot_{number}" for number in range(1, robots + 1)]

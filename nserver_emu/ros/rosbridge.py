@@ -329,10 +329,8 @@ class RosbridgeServer:
     `has_map` is False if the world is not that of the robots; `origins` are those of pages that may connect.
     """
 
-    def __init__(
-        self, daemon: Daemon, tokens: http_port.Tokens | None = None, *, has_map: bool = True,
-        estimates: Estimates | None = None, origins: Set[str] = frozenset(),
-    ) -> None:  # fmt: skip
+    def __init__(self, daemon: Daemon, tokens: http_port.Tokens | None = None, *, has_map: bool = True,
+                 estimates: Estimates | None = None, origins: Set[str] = frozenset()) -> None:
         self.tokens = tokens or http_port.new_tokens()
         self._daemon = daemon
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")

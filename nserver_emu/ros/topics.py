@@ -158,10 +158,8 @@ def frames(reading: Reading, map_to_odom: Pose2 | None) -> Message:
 
 def static_frames(rings: Mapping[int, Ring], time_ns: int) -> Message:
     """Return the frames of all sonars of all robots."""
-    return {"transforms": [
-        frame for robot, ring in rings.items()
-        for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), _mounts(ring))
-    ]}  # fmt: skip
+    return {"transforms": [frame for robot, ring in rings.items()
+                           for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), _mounts(ring))]}
 
 
 def _mounts(ring: Ring) -> list[Pose2]:

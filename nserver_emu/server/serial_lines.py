@@ -76,10 +76,8 @@ class PtyConnection(ConnectionHandler):
 
     session: SerialSession
 
-    def __init__(
-        self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
-        new_channel: Callable[[], SerialChannel] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
+                 new_channel: Callable[[], SerialChannel] | None = None) -> None:
         super().__init__(daemon)
         self.robot = robot
         self.line = f"serial:{robot.robot_id}"

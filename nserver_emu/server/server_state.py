@@ -291,10 +291,8 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
 
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
-    return (
-        clamp_word(tenths(pose.x_in)), clamp_word(tenths(pose.y_in)), heading_tenths(pose.steering_rad),
-        heading_tenths(pose.turret_rad),
-    )  # fmt: skip
+    return (clamp_word(tenths(pose.x_in)), clamp_word(tenths(pose.y_in)), heading_tenths(pose.steering_rad),
+            heading_tenths(pose.turret_rad))
 
 
 def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
@@ -304,10 +302,8 @@ def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
 
 
 def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
-    return Stamp(
-        *_pose_tenths(at.pose), *axis_tenths(robot, at.velocities), robot_clock_ms(robot, at.pose_time_s),
-        robot_clock_ms(robot, at.sensor_time_s),
-    )  # fmt: skip
+    return Stamp(*_pose_tenths(at.pose), *axis_tenths(robot, at.velocities), robot_clock_ms(robot, at.pose_time_s),
+                 robot_clock_ms(robot, at.sensor_time_s))
 
 
 class StateSensor(NamedTuple):
@@ -518,10 +514,8 @@ class ServerState:
     handlers: Mapping[str, Handler] = {}
     preparations: Mapping[str, Preparation] = {}
 
-    def __init__(
-        self, simulation: Simulation, *, port: int = 1, clock: SimulationClock | None = None,
-        allowed: Allowed | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, simulation: Simulation, *, port: int = 1, clock: SimulationClock | None = None,
+                 allowed: Allowed | None = None) -> None:
         self.simulation = simulation
         self.port = port
         self.clock = clock or SimulationClock()

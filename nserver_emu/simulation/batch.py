@@ -80,10 +80,9 @@ class BatchSimulation:
         If a robot does not fit at its start.
     """
 
-    def __init__(
-        self, worlds: World | Sequence[World], robots: int | None = None, *, starts: npt.ArrayLike | None = None,
-        model: RobotModel = N150, setup: RobotSetup = IDEAL, seed: int = 0, threads: int | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, worlds: World | Sequence[World], robots: int | None = None, *,
+                 starts: npt.ArrayLike | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL,
+                 seed: int = 0, threads: int | None = None) -> None:
         # 1. What a batch can simulate.
         self.model, self.setup, self.seed = model, apply_model(model, setup), seed
         _check(model, self.setup)

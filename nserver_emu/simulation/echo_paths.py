@@ -111,10 +111,8 @@ class Mirror(NamedTuple):
     row: int
 
 
-def first_echo(
-    sources: Any, margin_db: float, min_range_in: float, recess_in: float, losses: Attenuation,
-    reflectors: Reflectors, discs: Any, max_range_in: float,
-) -> float:  # fmt: skip
+def first_echo(sources: Any, margin_db: float, min_range_in: float, recess_in: float, losses: Attenuation,
+               reflectors: Reflectors, discs: Any, max_range_in: float) -> float:
     """Return the range of the first echo that a sonar detects; inf for none below `max_range_in`.
 
     Parameters
@@ -311,10 +309,8 @@ def off_posts(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: f
             echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
 
 
-def scattered_range(
-    pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float, shift_y: float,
-    loss_db: float,
-) -> float:  # fmt: skip
+def scattered_range(pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float,
+                    shift_y: float, loss_db: float) -> float:
     """Return the range of a point that scatters, displaced; inf if it is not detected or not nearer than another."""
     out, back, at_x, at_y = pair.out, pair.back, x + shift_x, y + shift_y
     length_in = distance(out.x, out.y, at_x, at_y) + distance(back.x, back.y, at_x, at_y)
@@ -412,10 +408,8 @@ def specular_normal(pair: Pair, disc: tuple[float, float, float]) -> tuple[bool,
     return start_x * dx + start_y * dy > radius, dx, dy
 
 
-def over_walls_to_disc(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
-    disc: tuple[float, float, float],
-) -> None:  # fmt: skip
+def over_walls_to_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+                       disc: tuple[float, float, float]) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto a disc, and back along themselves."""
     out, (centre_x, centre_y, radius) = pair.out, disc
     for mirror in mirrors:
@@ -466,10 +460,8 @@ def off_two_walls(pair: Pair, losses: Attenuation, nearest_in: float, firsts: li
     return echoes
 
 
-def over_walls_to_walls(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
-    reflectors: Reflectors,
-) -> None:  # fmt: skip
+def over_walls_to_walls(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+                        reflectors: Reflectors) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto another, and back along themselves."""
     out, reach_in, has_surfaces = pair.out, nearest_in - pair.offset_in, len(reflectors.begins) > 0
     for mirror in mirrors:
@@ -504,10 +496,8 @@ def over_walls_to_walls(
 # Obstructions
 
 
-def first_free(
-    echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], back_walls: list[Wall],
-    reflectors: Reflectors, discs: Any,
-) -> float:  # fmt: skip
+def first_free(echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], back_walls: list[Wall],
+               reflectors: Reflectors, discs: Any) -> float:
     """Return the shortest range of a path on which nothing stands between one point and the next, or `nearest_in`.
 
     The first and the last leg of a path lie in the cones, so only the visible walls there can stand between their ends.

@@ -108,10 +108,8 @@ def disturbed_segment(segment: ConstantAccelerationSegment, alphas: Sequence[flo
     turned = _walk_std(alphas[0], angle, alphas[1], distance) * turn_normal
     # Scaling keeps the duration and the shape of the speed profile.
     scale = 1.0 + longer / distance if distance else 1.0
-    return ConstantAccelerationSegment(
-        duration, speed * scale if distance else longer / duration, acceleration * scale, turn_rate + turned / duration,
-        turn_acceleration,
-    )  # fmt: skip
+    return ConstantAccelerationSegment(duration, speed * scale if distance else longer / duration, acceleration * scale,
+                                       turn_rate + turned / duration, turn_acceleration)
 
 
 NO_NOISE: Final = MotionNoise()
@@ -219,10 +217,8 @@ class Encoders:
 
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """Return the encoder pose at these mechanical angles."""
-        return Pose(
-            self._x_in, self._y_in, wrap_to_2pi(steering_rad + self._steering_offset_rad),
-            wrap_to_2pi(turret_rad + self._turret_offset_rad),
-        )  # fmt: skip
+        return Pose(self._x_in, self._y_in, wrap_to_2pi(steering_rad + self._steering_offset_rad),
+                    wrap_to_2pi(turret_rad + self._turret_offset_rad))
 
     def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> None:
         """Integrate `time_s` seconds of a segment that starts at this mechanical steering angle."""

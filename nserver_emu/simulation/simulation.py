@@ -121,10 +121,8 @@ class Simulation:
         """Simulated time since the beginning."""
         return to_s(self.time_ps)
 
-    def add_robot(
-        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL, *,
-        powered: bool = True,
-    ) -> SimulatedRobot:  # fmt: skip
+    def add_robot(self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150,
+                  setup: RobotSetup = IDEAL, *, powered: bool = True) -> SimulatedRobot:
         """Put a robot into the world.
 
         Parameters

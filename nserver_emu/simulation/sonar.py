@@ -179,10 +179,8 @@ class SonarRing:
 
     def to_state(self) -> SonarState:
         """Return all that changes; pending ranges are computed, which changes no reading."""
-        return SonarState(
-            self.readings_in, self.stamps, self.pings, self._earlier, self._firing, self._interval_ps, self._count,
-            self.due_ps,
-        )  # fmt: skip
+        return SonarState(self.readings_in, self.stamps, self.pings, self._earlier, self._firing, self._interval_ps,
+                          self._count, self.due_ps)
 
     def set_state(self, state: SonarState, now_ps: int) -> None:
         """Continue from a state; raise ValueError if it is not one of a ring."""
@@ -289,10 +287,8 @@ class SonarRing:
             if sonar in model.dead:
                 self._readings[sonar] = DEAD_IN
 
-    def _emit(
-        self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
-        earlier: tuple[Ping, ...],
-    ) -> Ping:  # fmt: skip
+    def _emit(self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
+              earlier: tuple[Ping, ...]) -> Ping:
         x, y, turret_rad, _, _ = sensor_pose
         # The beam points away from the axis of the ring, or from one beside it.
         direction_rad = turret_rad + self.model.turned_rad + self._ring.angles_rad[sonar]

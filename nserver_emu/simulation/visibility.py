@@ -115,10 +115,8 @@ FAR_IN: Final = 1e6
 """Farther than any wall."""
 
 
-def nearest_disc(
-    x: float, y: float, dx: float, dy: float, wall_in: float, discs: Sequence[Sequence[float]] | FloatArray, own: int,
-    max_radius_in: float,
-) -> float:  # fmt: skip
+def nearest_disc(x: float, y: float, dx: float, dy: float, wall_in: float,
+                 discs: Sequence[Sequence[float]] | FloatArray, own: int, max_radius_in: float) -> float:
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest robot, or to a nearer wall, inches.
 
     Parameters

@@ -118,9 +118,7 @@ Word = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Point = Annotated[list[Number], Meta(min_length=2, max_length=2, title="a point [x, y]")]
 Points = Annotated[list[Point], Meta(max_length=MAX_POINTS, title="a list of points [[x, y], ...] in inches")]
-PoseTenths = Annotated[
-    list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
-]  # fmt: skip
+PoseTenths = Annotated[list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")]
 Call = Literal[
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",

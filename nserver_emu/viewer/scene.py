@@ -199,12 +199,10 @@ class SceneHistory:
         # Counts of all points ever added, which identify the state of a trace.
         counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
         simulation = server_state.simulation
-        return Revision(
-            self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
-            simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
-            speech[-1] if speech else None, counts,
-            {n: robot.sonar.pings for n, robot in simulation.robots.items()},
-        )  # fmt: skip
+        return Revision(self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+                        simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
+                        speech[-1] if speech else None, counts,
+                        {n: robot.sonar.pings for n, robot in simulation.robots.items()})
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
         traces = self._server_state.traces
@@ -305,10 +303,8 @@ def _now(server_state: ServerState) -> Plain:
 
 
 def _pose(pose: Pose) -> list[float]:
-    return [
-        round(pose.x_in, DIGITS), round(pose.y_in, DIGITS),
-        round(pose.steering_rad, ANGLE_DIGITS), round(pose.turret_rad, ANGLE_DIGITS),
-    ]  # fmt: skip
+    return [round(pose.x_in, DIGITS), round(pose.y_in, DIGITS), round(pose.steering_rad, ANGLE_DIGITS),
+            round(pose.turret_rad, ANGLE_DIGITS)]
 
 
 def _changed_beams(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple[Ping | None, ...]]) -> Plain:

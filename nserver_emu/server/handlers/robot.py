@@ -183,11 +183,9 @@ def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, .
 def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the actual pose of the robot in thousandths; for evaluation only, the filter does not use it."""
     pose = server.robot_of(context).actual
-    values = (
-        1, wrap_word(server.clock_ms), clamp_word(round(pose.x_in * 1000)), clamp_word(round(pose.y_in * 1000)),
-        round(math.degrees(pose.steering_rad) * 1000), round(math.degrees(pose.turret_rad) * 1000),
-        server.simulation.seed & _INT32_MAX, context.robot_id or 0,
-    )  # fmt: skip
+    values = (1, wrap_word(server.clock_ms), clamp_word(round(pose.x_in * 1000)), clamp_word(round(pose.y_in * 1000)),
+              round(math.degrees(pose.steering_rad) * 1000), round(math.degrees(pose.turret_rad) * 1000),
+              server.simulation.seed & _INT32_MAX, context.robot_id or 0)
     return Reply("truth", values=values)
 
 
