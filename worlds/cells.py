@@ -36,16 +36,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from worlds.geometry import (
-    BoolArray,
-    FloatArray,
-    area,
-    crossing,
-    lengths,
-    nearest_points,
-    polygon_segments,
-    polyline_segments,
-)
+from worlds import geometry
+from worlds.geometry import BoolArray, FloatArray, area, crossing, lengths, nearest_points, polygon_segments
 from worlds.world import Point, Polygon, World
 
 MIN_CORNERS = 3
@@ -66,7 +58,7 @@ def simplify_world(world: World, tolerance_in: float) -> World:
     # Each of the two steps may move a wall by half the tolerance.
     half = tolerance_in / 2.0
     merged = _merge_collinear(world.inner_walls, half)
-    walls = [polyline_segments(_select(line, half)) for line in _chain(merged)]
+    walls = [geometry.polyline_segments(_select(line, half)) for line in _chain(merged)]
     return replace(
         world,
         rooms=tuple(_simplify_polygon(room, tolerance_in) for room in world.rooms),

@@ -25,28 +25,13 @@ from typing import Annotated, Any, Final
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
+import worlds.world
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError, suggest
 from worlds import schema
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.schema import Distance, Line, Table, table
-from worlds.world import (
-    AT_ORIGIN,
-    MAX_CORNERS,
-    MAX_DOORS,
-    MAX_PATH_POINTS,
-    MAX_ROUTE_POINTS,
-    MAX_STARTS,
-    MAX_WALKERS,
-    Door,
-    Path,
-    Point,
-    Polygon,
-    StartPose,
-    Walker,
-    WallAccuracy,
-    World,
-)
+from worlds.world import AT_ORIGIN, MAX_ROUTE_POINTS, Door, Path, Point, Polygon, StartPose, Walker, WallAccuracy, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -308,11 +293,11 @@ def _check_size(values: Mapping[str, Any]) -> None:
         for key, rows in tables.items()
     }
     for key, found, maximum, what in (
-        ("", sum(sizes.get(key, 0) for key in CONTENT), MAX_CORNERS, "corners in total"),
-        ("start", len(tables.get("start", ())), MAX_STARTS, "starts"),
-        ("door", len(tables.get("door", ())), MAX_DOORS, "doors"),
-        ("walker", len(tables.get("walker", ())), MAX_WALKERS, "walkers"),
-        ("path", sizes.get("path", 0), MAX_PATH_POINTS, "points in total"),
+        ("", sum(sizes.get(key, 0) for key in CONTENT), worlds.world.MAX_CORNERS, "corners in total"),
+        ("start", len(tables.get("start", ())), worlds.world.MAX_STARTS, "starts"),
+        ("door", len(tables.get("door", ())), worlds.world.MAX_DOORS, "doors"),
+        ("walker", len(tables.get("walker", ())), worlds.world.MAX_WALKERS, "walkers"),
+        ("path", sizes.get("path", 0), worlds.world.MAX_PATH_POINTS, "points in total"),
     ):
         if found > maximum:
             raise InvalidValue(f"expected at most {maximum} {what}, found {found}", key)

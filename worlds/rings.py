@@ -27,20 +27,13 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.validation import InvalidValue
-from nclient.protocol.types import (
-    DEFAULT_SONAR_ORDER,
-    DEFAULT_SONAR_RATE,
-    MAX_SONAR_IN,
-    MAX_SONAR_RATE,
-    MIN_SONAR_IN,
-    SONAR_RATE_STEP_S,
-    SONAR_SLOTS,
-)
+from nclient.protocol import types
+from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
 from worlds.schema import Distance, Length, Points, Table, table
 
 MAX_SONARS: Final = 64
 """Sonars of a ring in a model file."""
-MIN_INTERVAL_S, MAX_INTERVAL_S = SONAR_RATE_STEP_S, MAX_SONAR_RATE * SONAR_RATE_STEP_S
+MIN_INTERVAL_S, MAX_INTERVAL_S = SONAR_RATE_STEP_S, types.MAX_SONAR_RATE * SONAR_RATE_STEP_S
 """Interval of a ring: what conf_sn can set as well."""
 MAX_RANGE_IN: Final = 480.0
 """Longest range of a ring, 12 m: the simulation looks no farther for other robots."""
@@ -206,10 +199,9 @@ def evenly(count: int) -> tuple[float, ...]:
 
 def nomad_ring(radius_in: float) -> Ring:
     """Return the ring of the Nomads: 16 sonars, one every 60 ms, whole inches from 6 to 255."""
-    return Ring(
-        radius_in, evenly(SONAR_SLOTS), tuple((sonar,) for sonar in DEFAULT_SONAR_ORDER),
-        DEFAULT_SONAR_RATE * SONAR_RATE_STEP_S, float(MIN_SONAR_IN), float(MAX_SONAR_IN), 1.0, float(MAX_SONAR_IN),
-    )  # fmt: skip
+    order = tuple((sonar,) for sonar in types.DEFAULT_SONAR_ORDER)
+    return Ring(radius_in, evenly(SONAR_SLOTS), order, types.DEFAULT_SONAR_RATE * SONAR_RATE_STEP_S,
+                float(MIN_SONAR_IN), float(MAX_SONAR_IN), 1.0, float(MAX_SONAR_IN))
 
 
 SonarNumber = Annotated[int, Meta(ge=0, lt=MAX_SONARS)]

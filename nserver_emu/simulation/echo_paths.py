@@ -32,17 +32,8 @@ mirrors, edges as scatterers, the beam's directivity.
 from math import asin, atan2, cos, inf, log10, sin, sqrt, tan
 from typing import Any, Final, NamedTuple
 
-from nserver_emu.simulation.visibility import (
-    TINY,
-    Beam,
-    Reflectors,
-    Wall,
-    blocks_between,
-    distance,
-    in_frame,
-    walls_in_cone,
-    walls_of,
-)
+from nserver_emu.simulation import visibility
+from nserver_emu.simulation.visibility import TINY, Beam, Reflectors, Wall, blocks_between, distance, walls_in_cone
 from worlds.raycast import nearest_wall, ray_to_disc, sort_by_range
 
 SMALL_IN: Final = 1e-6
@@ -223,7 +214,7 @@ def mirrors_within(mirrors: list[Mirror], reach_in: float) -> list[Mirror]:
 
 def beam_loss_db(beam: Beam, losses: Attenuation, x: float, y: float) -> float:
     """Return the one-way loss towards a point, which grows with the angle squared; inf outside the cone."""
-    ahead, left = in_frame(beam, x, y)
+    ahead, left = visibility.in_frame(beam, x, y)
     off_axis = abs(atan2(left, ahead)) / losses.half_rad
     return losses.rim_loss_db * off_axis * off_axis if off_axis <= 1.0 else inf
 
@@ -355,7 +346,7 @@ def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: fl
         if range_in < nearest_in:
             echoes.append((range_in, x, y, x, y, back.x, back.y))
     # 2. The interval of directions in which the disc is visible inside the cone.
-    ahead, left = in_frame(out, centre_x, centre_y)
+    ahead, left = visibility.in_frame(out, centre_x, centre_y)
     away = distance(0.0, 0.0, ahead, left)
     if away <= radius or losses.skin_loss_db == inf:
         return
@@ -381,7 +372,7 @@ def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: fl
 
 def may_meet_disc(beam: Beam, losses: Attenuation, disc: tuple[float, float, float]) -> bool:
     """Return True if a disc reaches into the cone, or nearly: not beyond a side, not behind."""
-    ahead, left = in_frame(beam, disc[0], disc[1])
+    ahead, left = visibility.in_frame(beam, disc[0], disc[1])
     return abs(left) * cos(losses.half_rad) - ahead * sin(losses.half_rad) <= disc[2] and ahead >= -disc[2]
 
 
@@ -472,7 +463,7 @@ def over_walls_to_walls(echoes: list[Echo], pair: Pair, losses: Attenuation, nea
         if right_x * left_y < right_y * left_x:
             right_x, right_y, left_x, left_y = left_x, left_y, right_x, right_y
         behind = blocks_between(image_x, image_y, right_x, right_y, left_x, left_y, reach_in, reflectors.boxes)
-        for row, (x1, y1, x2, y2) in walls_of(behind, reflectors.walls):
+        for row, (x1, y1, x2, y2) in visibility.walls_of(behind, reflectors.walls):
             # 2. The foot of the perpendicular from the image, in reach.
             along_x, along_y, to_x, to_y = x2 - x1, y2 - y1, image_x - x1, image_y - y1
             square, dot = along_x * along_x + along_y * along_y, to_x * along_x + to_y * along_y
@@ -520,7 +511,7 @@ def is_free_between(x: float, y: float, to_x: float, to_y: float, reflectors: Re
         return True
     dx, dy, reach_in = to_x - x, to_y - y, distance(x, y, to_x, to_y)
     blocks = blocks_between(x, y, dx, dy, dx, dy, reach_in, reflectors.boxes)
-    walls = [wall for _, wall in walls_of(blocks, reflectors.walls)]
+    walls = [wall for _, wall in visibility.walls_of(blocks, reflectors.walls)]
     return is_free(x, y, to_x, to_y, walls, discs)
 
 

@@ -42,6 +42,7 @@ from typing import Any, Final
 
 import numpy as np
 
+import worlds.world
 from nclient.errors import ControlError, StartError, suggest
 from nserver_emu.server.handlers.world import MAX_COORDINATE_IN, is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
@@ -50,18 +51,7 @@ from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_pa
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world, route_error
-from worlds.world import (
-    MAX_DOORS,
-    MAX_ROUTE_POINTS,
-    MAX_WALKERS,
-    Door,
-    Point,
-    Polygon,
-    StartPose,
-    Walker,
-    WallAccuracy,
-    World,
-)
+from worlds.world import MAX_ROUTE_POINTS, Door, Point, Polygon, StartPose, Walker, WallAccuracy, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
@@ -423,7 +413,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
                 now = replace(was, is_open=_is_true(wanted.get("open"), not was.is_open))
     # 2. Check that it fits.
     if now is not None and was is None:
-        if len(doors) >= MAX_DOORS:
+        if len(doors) >= worlds.world.MAX_DOORS:
             raise ControlError(f"door: there are {len(doors)} already, the maximum")
         if not now.name.strip() or now.name in [door.name for door in doors]:
             raise ControlError(f"door: expected a name that no other door has, found {now.name!r}")
@@ -456,7 +446,7 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
     # 2. Check that it fits.
     if now is not None:
         _check_walker(server, now)
-        if was is None and len(walkers) >= MAX_WALKERS:
+        if was is None and len(walkers) >= worlds.world.MAX_WALKERS:
             raise ControlError(f"walker: there are {len(walkers)} already, the maximum")
     # 3. Replace, insert or remove it.
     walkers[row : row + 1] = [] if now is None else [now]
