@@ -442,7 +442,8 @@ async def _serve_with(proxies: Mapping[int, RealRobotProxy], setups: config.Lega
             log.warning("--bind: %s", open_to)
         if options.record:
             numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(proxies)}
-            daemon.record(options.record, run_header.to_json(_now(), **numbers))
+            now = datetime.now(UTC).isoformat(timespec="seconds")
+            daemon.record(options.record, run_header.to_json(now, **numbers))
         await _run(daemon, gateway, options, stop, file)
     finally:
         await daemon.close()
@@ -505,10 +506,6 @@ def _replay(path: Path) -> int:
     if outcome.difference:
         print(f"nserver: {outcome.difference}", file=sys.stderr)
     return ExitCode.FAILED if outcome.difference else ExitCode.DONE
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:

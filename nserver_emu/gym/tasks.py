@@ -334,10 +334,6 @@ class RunnerOptions:
     max_speed_m_s: float = 0.3
     max_turn_rad_s: float = radians(40.0)
 
-    def loaded_world(self) -> World | None:
-        """Return the world."""
-        return load_world(self.world) if isinstance(self.world, str) else self.world
-
     def robots(self, count: int, world: World | None, is_batch: bool, threads: int | None = None) -> Robots:
         """Return robots: at the address, of a batch, or of one simulation."""
         if self.address is not None:
@@ -382,7 +378,7 @@ class TaskRunner:
     def __init__(self, task: Task, options: RunnerOptions, count: int = 1, *, is_batch: bool = False,
                  threads: int | None = None) -> None:
         # A robot at an address drives in a world that is not known.
-        world = options.loaded_world()
+        world = load_world(options.world) if isinstance(options.world, str) else options.world
         self.task, self.options, self._count = task, options, count
         self.robots = options.robots(count, world, is_batch, threads)
         # Robots of one simulation must not touch at their starts.

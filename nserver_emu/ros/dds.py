@@ -16,7 +16,7 @@ import contextlib
 import logging
 import re
 from collections.abc import AsyncIterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -56,12 +56,12 @@ _LATCHED = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepL
 _COMMAND = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(MAX_COMMANDS), _CDR)
 
 
+@dataclass(slots=True)
 class Driver:
     """A publisher of velocities, and the last error that it caused."""
 
-    def __init__(self, clients: ViewerClients) -> None:
-        self.clients = clients
-        self.error = ""
+    clients: ViewerClients
+    error: str = ""
 
 
 class Ros2Node:

@@ -17,7 +17,7 @@ the lift moves 0..48 in at up to 5 in/s, the gripper opens 0..5 in at up to 2 in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import copysign, inf, sqrt
 from typing import Final, NamedTuple
@@ -387,8 +387,7 @@ def advance_phases(phases: Sequence[Sequence[float]], elapsed_s: float, dt_s: fl
 
 LIFT: Final = AxisLimits(top_speed=5.0, top_acceleration=20.0, min_acceleration=0.1, speed=5.0, acceleration=10.0,
                          resolution=0.1)
-GRIP: Final = AxisLimits(top_speed=2.0, top_acceleration=20.0, min_acceleration=0.1, speed=2.0, acceleration=10.0,
-                         resolution=0.1)
+GRIP: Final = replace(LIFT, top_speed=2.0, speed=2.0)
 LIFT_TRAVEL_IN: Final = 48.0
 GRIP_TRAVEL_IN: Final = 5.0
 

@@ -245,9 +245,8 @@ class Encoders:
     def slip(self, distance_in: float, steering_rad: float) -> None:
         """Count a straight distance along this mechanical steering angle that only the wheels rolled."""
         # The wheels roll on the spot, and the encoders take it for a straight motion.
-        heading = steering_rad + self._steering_offset_rad
-        self._x_in += distance_in * cos(heading)
-        self._y_in += distance_in * sin(heading)
+        heading = self.heading(steering_rad)
+        self.shift(distance_in * cos(heading), distance_in * sin(heading))
 
     def define_position(self, x_in: float, y_in: float) -> None:
         """Give the current position these coordinates."""

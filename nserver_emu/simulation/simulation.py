@@ -250,10 +250,8 @@ class Simulation:
 
     def _continued(self, walker: Walker) -> SimulatedWalker:
         """Return the body of a walker that goes on, or that of a new one, which starts now."""
-        for body in self.walkers:
-            if body.walker is walker:
-                return body
-        return SimulatedWalker(walker, self.world.walls, self.time_ps)
+        before = next((body for body in self.walkers if body.walker is walker), None)
+        return before or SimulatedWalker(walker, self.world.walls, self.time_ps)
 
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.

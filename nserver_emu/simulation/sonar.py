@@ -82,7 +82,9 @@ class SonarNoise(SonarErrors):
         ring_in = body.sonar_ring_radius_in
         if not self.has_noise:
             return [range_in - ring_in for range_in in from_axis]
-        return [self._with_noise(range_in - ring_in, ping) for range_in, ping in zip(from_axis, pings, strict=True)]
+        stds = self.range_std_relative, self.range_std_floor_in
+        return [noisy_range(range_in - ring_in, ping.noise[0], *stds)
+                for range_in, ping in zip(from_axis, pings, strict=True)]
 
     def _walls_in_reach(self, pings: Sequence[Ping], walls: FloatArray, body: Body) -> FloatArray:
         """Return the walls that decide the readings of these pings."""
@@ -90,10 +92,6 @@ class SonarNoise(SonarErrors):
         apart_in = max(max(x) - min(x), max(y) - min(y))
         reach_in = self.reach_in(body.ring.max_range_in) + body.ring.radius_in + apart_in
         return near_walls(x[0], y[0], reach_in, walls)
-
-    def _with_noise(self, range_in: float, ping: Ping) -> float:
-        noise = ping.noise[0]
-        return noisy_range(range_in, noise, self.range_std_relative, self.range_std_floor_in)
 
 
 def noisy_range(range_in: float, noise: float, relative: float, floor_in: float) -> float:

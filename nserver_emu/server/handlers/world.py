@@ -148,7 +148,7 @@ _Corners = tuple[tuple[int, int], ...]
 def add_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Add a polygon of three corners or more that encloses some area and no robot."""
     world = server.simulation.world
-    polygon = _polygon(_corners(args))
+    polygon = Polygon(tuple((x / 10, y / 10) for x, y in _corners(args)))
     if not is_valid_polygon(polygon) or overlaps_robot(server, polygon):
         return error_reply(BAD_VALUES)
     if len(world.obstacles) >= server.allowed.obstacles:
@@ -327,10 +327,6 @@ def _corners(args: Sequence[int]) -> _Corners:
 def _start(args: Sequence[int]) -> StartPose:
     x, y, steering, turret = args
     return StartPose(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
-
-
-def _polygon(corners: _Corners) -> Polygon:
-    return Polygon(tuple((x / 10, y / 10) for x, y in corners))
 
 
 def is_valid_polygon(polygon: Polygon) -> bool:
