@@ -167,12 +167,9 @@ def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reac
     low[is_close], high[is_close] = -2.0 * np.pi, 2.0 * np.pi
     # 3. The rays in these intervals, which may lie a turn away.
     rays = angles_rad - middle_rad
-    begins, stops = (
-        np.column_stack([
-            np.searchsorted(rays, bound + shift + margin) for shift in (-2.0 * np.pi, 0.0, 2.0 * np.pi)
-        ])
-        for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD))
-    )
+    turns = (-2.0 * np.pi, 0.0, 2.0 * np.pi)
+    begins, stops = (np.column_stack([np.searchsorted(rays, bound + turned + margin) for turned in turns])
+                     for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD)))
     begin = np.where(begins < stops, begins, len(rays)).min(axis=1, initial=len(rays))
     stop = np.where(begins < stops, stops, 0).max(axis=1, initial=0)
     # 4. Nearest walls first, a block of pairs at a time: what stands behind them is left out.

@@ -19,6 +19,7 @@ from nclient.state import NO_ECHO_IN, RobotState
 _SECTOR_DEG = 22.5
 # Columns of the name of a part.
 _WIDTH = 11
+_POSE = "x {:.1f} in  y {:.1f} in  steering {:.1f} deg  turret {:.1f} deg"
 
 
 def format_state(state: RobotState) -> str:
@@ -80,8 +81,7 @@ def as_json(state: RobotState) -> dict[str, Any]:
 
 
 def _pose(state: RobotState) -> str:
-    return (f"x {state.x_in:.1f} in  y {state.y_in:.1f} in  steering {state.steering_deg:.1f} deg  turret "
-            f"{state.turret_deg:.1f} deg")
+    return _POSE.format(state.x_in, state.y_in, state.steering_deg, state.turret_deg)
 
 
 def _velocity(state: RobotState) -> str:
@@ -177,9 +177,7 @@ def _accelerations(reply: Reply) -> str:
 
 
 def _clicked(reply: Reply) -> str:
-    return "x {:.1f} in  y {:.1f} in  steering {:.1f} deg  turret {:.1f} deg".format(
-        *[value / 10 for value in reply.values]
-    )
+    return _POSE.format(*[value / 10 for value in reply.values])
 
 
 def _truth(reply: Reply) -> Iterator[str]:

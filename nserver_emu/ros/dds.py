@@ -35,7 +35,7 @@ from rosbags.typesys import Stores, get_typestore
 from nclient.errors import ConnectionLost, install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, FieldType, Message, MessageBuilder
 from nserver_emu.ros import topics
-from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, map_message, rings_of
+from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, loop_time, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer.clients import ErrorBoundary, ViewerClients
 from worlds.world import World
@@ -219,10 +219,10 @@ class Ros2Node:
     # -- tasks
 
     async def _run_clock(self) -> None:
-        due = _now()
+        due = loop_time()
         while True:
             await asyncio.sleep(COMMAND_PERIOD_S)
-            now = _now()
+            now = loop_time()
             # 1. Velocities, and robots whose driver is silent.
             for robot in self._readers:
                 with self._error_boundary.guard("velocities"):
@@ -273,10 +273,6 @@ async def running_node(daemon: Daemon, distro: str, domain: int, config: str | N
         yield
     finally:
         await node.close()
-
-
-def _now() -> float:
-    return asyncio.get_running_loop().time()
 
 
 _BASE: Final[dict[str, Any]] = {

@@ -251,17 +251,18 @@ class Estimates:
         """Add an estimate; the pose of a robot that is lost is undefined: it has neither a pose nor a frame map."""
         self._latest.pop(robot, None)
         if estimate["trust"] != "LOST":
-            self._latest[robot] = _now(), estimate
+            self._latest[robot] = loop_time(), estimate
             for listener in self.listeners:
                 listener(robot, estimate)
 
     def map_to_odom(self, robot: int) -> Pose2 | None:
         """Return the transform from map to odom; None if the robot is not localized."""
         come_s, estimate = self._latest.get(robot, (-math.inf, None))
-        return map_to_odom(estimate) if estimate is not None and _now() - come_s < STALE_S else None
+        return map_to_odom(estimate) if estimate is not None and loop_time() - come_s < STALE_S else None
 
 
-def _now() -> float:
+def loop_time() -> float:
+    """Return the clock of the running event loop, seconds."""
     return asyncio.get_running_loop().time()
 
 

@@ -469,9 +469,8 @@ def add_laser(robot: SimulatedRobot, context: ConnectionContext, slots: list[int
         return slots, None
     wire_state = context.wire_state
     with_mode = [*slots[:types.LASER_SLOT], wire_state.laser_mode, *slots[types.LASER_SLOT + 1 :]]
-    return with_mode, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
-        wire_state.laser_mode
-    ) else None
+    is_scanned = wanted and is_on(wire_state.laser_mode)
+    return with_mode, laser_vector(robot, context, wire_state.laser_width) if is_scanned else None
 
 
 # The server.

@@ -514,11 +514,8 @@ class ClientRegistry:
             connection is ambiguous.
         """
         # 1. Entries from this address with a matching word size.
-        matching = {
-            other: entry
-            for other, entry in self._entries.items()
-            if entry.host == host and wide in (None, entry.identity.wide)
-        }
+        matching = {other: entry for other, entry in self._entries.items()
+                    if entry.host == host and wide in (None, entry.identity.wide)}
         # 2. Prefer clients that nothing continues yet, and of these the ones that only connected: old clients open
         #    their second connection right after that.
         originals = {other: entry for other, entry in matching.items() if other not in self._continued}

@@ -248,9 +248,8 @@ class DifferentialDrive:
 
     def turret_after(self, dt_s: float) -> float:
         """Return the heading dt_s >= 0 seconds from now, if no wall stops the robot."""
-        return self.heading_rad + (
-            self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
-        ) / self.track_in
+        apart_in = self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
+        return self.heading_rad + apart_in / self.track_in
 
     def block(self) -> None:
         """Stop both wheels, because something is in front of the robot."""

@@ -78,9 +78,8 @@ class ViewerController:
         """When the last message of each kind was published of each robot, and its fields."""
         self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
-        self.traffic_monitor = TrafficMonitor(
-            daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
-        )
+        self.traffic_monitor = TrafficMonitor(daemon.recorder, self._wire_state_of,
+                                              lambda: daemon.emulator.simulation.time_s)
         daemon.recorder = self.traffic_monitor
 
     def connect_page(self, now: float, access: Access, *, watch_token: str = "") -> Viewer:
@@ -165,9 +164,8 @@ class ViewerController:
                 self._call(viewer, message)
             case messages.Drive():
                 reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
-                self.clients(viewer).drive(
-                    message.robot, message.args, now, lambda answer: reply(answer | {"others": others})
-                )
+                self.clients(viewer).drive(message.robot, message.args, now,
+                                           lambda answer: reply(answer | {"others": others}))
             case messages.Stop() | messages.Release():
                 robots = self.robots(message.robot)
                 if isinstance(message, messages.Stop):
@@ -202,9 +200,7 @@ class ViewerController:
                 if None in self._reading.values():
                     raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
                 world = self.daemon.emulator.simulation.world
-                adjusted = asyncio.to_thread(
-                    lambda: adjust_world(message.text or format_world(world), message.lengths)
-                )
+                adjusted = asyncio.to_thread(lambda: adjust_world(message.text or format_world(world), message.lengths))
                 self._answer_later(viewer, message.id, adjusted, "files for a page")
             case messages.Gallery():
                 self._answer_later(viewer, message.id, asyncio.to_thread(shipped_worlds), "files for a page")

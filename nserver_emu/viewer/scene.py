@@ -206,14 +206,9 @@ class SceneHistory:
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
         traces = self._server_state.traces
-        return {
-            str(n): {
-                "actual": _newer(traces.actual[n], had[0], has[0]),
-                "encoder": _newer(traces.encoder[n], had[1], has[1]),
-            }
-            for n, has in new.items()
-            if (had := old.get(n, NO_POINTS)) != has
-        }
+        return {str(n): {"actual": _newer(traces.actual[n], had[0], has[0]),
+                         "encoder": _newer(traces.encoder[n], had[1], has[1])}
+                for n, has in new.items() if (had := old.get(n, NO_POINTS)) != has}
 
 
 def body_data(robot: SimulatedRobot) -> Plain:
@@ -309,15 +304,13 @@ def _pose(pose: Pose) -> list[float]:
 
 def _changed_beams(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple[Ping | None, ...]]) -> Plain:
     """Return the sonars whose latest ping has another position or direction than before."""
-    record_change = {
-        str(n): [
-            [sonar, *_beam(ping)]
-            for sonar, (before, ping) in enumerate(zip(old.get(n, (None,) * len(pings)), pings, strict=True))
-            if ping is not before and _axis(ping) != _axis(before)
-        ]
-        for n, pings in new.items()
-    }
-    return {n: beams for n, beams in record_change.items() if beams}
+    changed: Plain = {}
+    for n, pings in new.items():
+        pairs = zip(old.get(n, (None,) * len(pings)), pings, strict=True)
+        if beams := [[sonar, *_beam(ping)] for sonar, (before, ping) in enumerate(pairs)
+                     if ping is not before and _axis(ping) != _axis(before)]:
+            changed[str(n)] = beams
+    return changed
 
 
 def _axis(ping: Ping | None) -> tuple[float, ...] | None:

@@ -45,12 +45,9 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     # Rolling axes count a distance, turning ones have an absolute angle.
     robot = server.claim_axes(context)
     angles = (0.0, robot.encoder.steering_rad, robot.encoder.turret_rad)
-    first, second, third = (
-        _without_rounding(target - count if rolls else math.remainder(target - angle, math.tau))
-        for target, count, angle, rolls in zip(
-            axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True
-        )
-    )
+    axes = zip(axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True)
+    first, second, third = (_without_rounding(target - count if rolls else math.remainder(target - angle, math.tau))
+                            for target, count, angle, rolls in axes)
     robot.move_relative(first, second, third)
 
 

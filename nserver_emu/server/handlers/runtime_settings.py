@@ -339,9 +339,8 @@ def _free_start(world: World, radius_in: float, taken: Sequence[Disc]) -> StartP
     """Return the first start of a world where a robot of this radius fits and touches none of the discs."""
     for start in world.starts:
         here = start.x_in, start.y_in
-        if not _obstruction(world, *here, radius_in) and all(
-            math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken
-        ):
+        is_apart = all(math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken)
+        if is_apart and not _obstruction(world, *here, radius_in):
             return start
     return None
 
