@@ -25,9 +25,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _awaitable(
-    method: Callable[Concatenate[Robot, P], R],
-) -> Callable[Concatenate[AsyncRobot, P], Coroutine[Any, Any, R]]:
+def _awaitable(method: Callable[Concatenate[Robot, P], R]
+               ) -> Callable[Concatenate[AsyncRobot, P], Coroutine[Any, Any, R]]:
     """Return the method as a coroutine function."""
 
     @wraps(method)

@@ -362,9 +362,8 @@ class RecordingStream:
         Called once the end is recorded.
     """
 
-    def __init__(
-        self, stream: ByteStream, recorder: ConnectionRecorder, on_close: Callable[[], None] = lambda: None
-    ) -> None:
+    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder,
+                 on_close: Callable[[], None] = lambda: None) -> None:
         self._stream = stream
         self._recorder = recorder
         self._on_close = on_close

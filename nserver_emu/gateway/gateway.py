@@ -557,10 +557,8 @@ class Gateway:
         If a simulated robot is of another model than its real counterpart.
     """
 
-    def __init__(
-        self, emulator: Emulator, proxies: Mapping[int, RealRobotProxy], *, shadow: bool = False,
-        wrap: WrapBackend = lambda backend: backend,
-    ) -> None:  # fmt: skip
+    def __init__(self, emulator: Emulator, proxies: Mapping[int, RealRobotProxy], *, shadow: bool = False,
+                 wrap: WrapBackend = lambda backend: backend) -> None:
         self.proxies = proxies
         self._emulator = emulator
         for robot_id, proxy in proxies.items():

@@ -267,10 +267,9 @@ class AdmissionProtocol(asyncio.Protocol):
         Called with an address that a limit rejects; returns True if the connection is accepted all the same.
     """
 
-    def __init__(
-        self, rules: AdmissionRules, present: Callable[[], Collection[str]],
-        new_protocol: Callable[[], asyncio.BaseProtocol], make_room: Callable[[str], bool] = lambda _host: False,
-    ) -> None:  # fmt: skip
+    def __init__(self, rules: AdmissionRules, present: Callable[[], Collection[str]],
+                 new_protocol: Callable[[], asyncio.BaseProtocol],
+                 make_room: Callable[[str], bool] = lambda _host: False) -> None:
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
         self._make_room = make_room
 

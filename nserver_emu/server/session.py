@@ -326,10 +326,9 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         Maximum length of a request.
     """
 
-    def __init__(
-        self, answer: Answer, name: str = "client",
-        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (), max_words: int = Limits().frame
-    ) -> None:  # fmt: skip
+    def __init__(self, answer: Answer, name: str = "client",
+                 find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
+                 max_words: int = Limits().frame) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
