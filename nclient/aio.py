@@ -25,9 +25,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _awaitable(
-    method: Callable[Concatenate[Robot, P], R],
-) -> Callable[Concatenate[AsyncRobot, P], Coroutine[Any, Any, R]]:
+def _awaitable(method: Callable[Concatenate[Robot, P], R]
+               ) -> Callable[Concatenate[AsyncRobot, P], Coroutine[Any, Any, R]]:
     """Return the method as a coroutine function."""
 
     @wraps(method)
@@ -64,9 +63,8 @@ class AsyncRobot:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
         await self._finish(partial(self._robot.__exit__, kind, error, trace))
 
     async def disconnect(self) -> None:

@@ -439,9 +439,8 @@ def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) ->
     return _fill(laser, reply.laser or (0,))
 
 
-def motion_check(
-    type: int, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float, a7: float, collide: Out
-) -> int:
+def motion_check(type: int, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float, a7: float,
+                 collide: Out) -> int:
     """Check a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) for collisions.
 
     Returns 1 if there is one, and fills collide with x, y and the inward normal in radians; 0 if not, or on error.

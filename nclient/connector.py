@@ -95,10 +95,8 @@ class Connector:
         If address and caller name different robots.
     """
 
-    def __init__(
-        self, address: Address, options: ConnectOptions = ConnectOptions(), *,
-        injector: Callable[[], Injector] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, address: Address, options: ConnectOptions = ConnectOptions(), *,
+                 injector: Callable[[], Injector] | None = None) -> None:
         self.address = address
         self.timeout_s = options.timeout_s if address.options.timeout_s is None else address.options.timeout_s
         self.robot_id = _agreed_robot_id(address, options)
@@ -204,10 +202,8 @@ class Connector:
         if self.wire == TCP:
             return self._start_tcp(stream)
         checks = self.address.options.checks
-        return DirectBackend(
-            stream, self.model, hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
-            timeout_s=self.timeout_s, checks=True if checks is None else checks, link=self.link,
-        )  # fmt: skip
+        return DirectBackend(stream, self.model, hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
+                             timeout_s=self.timeout_s, checks=True if checks is None else checks, link=self.link)
 
     def _start_tcp(self, stream: ByteStream) -> NserverBackend:
         return NserverBackend(
@@ -300,10 +296,8 @@ class Connector:
 def _agreed_robot_id(address: Address, options: ConnectOptions) -> int:
     """Return the robot's number. If address and caller disagree neither wins, or the wrong robot could move."""
     if options.robot_id is not None and address.robot_id not in (None, options.robot_id):
-        raise AddressError(
-            f"{address.text!r} names robot {address.robot_id}, the program asks for robot {options.robot_id}: let both "
-            "say the same, or leave the number out of the address"
-        )
+        raise AddressError(f"{address.text!r} names robot {address.robot_id}, the program asks for robot "
+                           f"{options.robot_id}: let both say the same, or leave the number out of the address")
     if options.robot_id is not None:
         return options.robot_id
     return DEFAULT_ROBOT_ID if address.robot_id is None else address.robot_id
@@ -363,9 +357,8 @@ class Connecting:
         self._robot = await self
         return await self._robot.__aenter__()
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                        trace: TracebackType | None) -> None:
         assert self._robot is not None
         await self._robot.__aexit__(kind, error, trace)
 

@@ -129,9 +129,8 @@ class Robot:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
         if self._is_inherited:
             return
         try:
@@ -193,11 +192,9 @@ class Robot:
 
     # -- motion -------------------------------------------------------------------------------------------------------
 
-    def drive(
-        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
-        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def drive(self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
+              steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+              turret_deg_s: float | None = None, turret_rad_s: float | None = None) -> RobotState:
         """Drive each axis at a velocity until the next motion command; an axis that is not given stands. C: vm.
 
         Parameters
@@ -214,18 +211,13 @@ class Robot:
         RobotRefused
             If a Scout gets a turn rate of the turret.
         """
-        return self._command_axes(
-            "vm",
-            tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
-            tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
-            tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s),
-        )
+        return self._command_axes("vm", tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
+                                  tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
+                                  tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
-    def move(
-        self, *, translation_in: float | None = None, translation_m: float | None = None,
-        steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move(self, *, translation_in: float | None = None, translation_m: float | None = None,
+             steering_deg: float | None = None, steering_rad: float | None = None,
+             turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Move all axes by distances, at the speeds of `set_speeds`; does not wait for the end. C: pr.
 
         Parameters
@@ -242,32 +234,23 @@ class Robot:
         RobotRefused
             If a Scout gets an angle of the turret.
         """
-        return self._command_axes(
-            "pr",
-            tenths_of(translation_in=translation_in, translation_m=translation_m),
-            tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
-            tenths_of(turret_deg=turret_deg, turret_rad=turret_rad),
-        )
+        return self._command_axes("pr", tenths_of(translation_in=translation_in, translation_m=translation_m),
+                                  tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
+                                  tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
-    def move_to(
-        self, *, translation_in: float | None = None, translation_m: float | None = None,
-        steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move_to(self, *, translation_in: float | None = None, translation_m: float | None = None,
+                steering_deg: float | None = None, steering_rad: float | None = None,
+                turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Move each axis to an absolute encoder position, 0 where not given; only on an N200's serial line. C: pa.
 
         Units as in `move`. Raises RobotRefused for other models and for servers.
         """
-        return self._command(
-            "pa",
-            tenths_of(translation_in=translation_in, translation_m=translation_m),
-            tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
-            tenths_of(turret_deg=turret_deg, turret_rad=turret_rad),
-        )
+        return self._command("pa", tenths_of(translation_in=translation_in, translation_m=translation_m),
+                             tenths_of(steering_deg=steering_deg, steering_rad=steering_rad),
+                             tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
 
-    def drive_axes(
-        self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE, turret: AxisCommand = _LEAVE
-    ) -> RobotState:
+    def drive_axes(self, translation: AxisCommand = _LEAVE, steering: AxisCommand = _LEAVE,
+                   turret: AxisCommand = _LEAVE) -> RobotState:
         """Command each axis in its own mode. C: mv.
 
         Without arguments it changes nothing, which old programs use as a ping.
@@ -279,19 +262,15 @@ class Robot:
         """
         return self._command("mv", *translation, *steering, *turret)
 
-    def drive_wheels(
-        self, *, right_in_s: float | None = None, left_in_s: float | None = None,
-        right_m_s: float | None = None, left_m_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def drive_wheels(self, *, right_in_s: float | None = None, left_in_s: float | None = None,
+                     right_m_s: float | None = None, left_m_s: float | None = None) -> RobotState:
         """Drive the wheels of a Scout at velocities. Raises RobotRefused for other models. C: vm."""
         self._require_wheels("vm")
         right = tenths_of(right_in_s=right_in_s, right_m_s=right_m_s)
         return self._command("vm", right, tenths_of(left_in_s=left_in_s, left_m_s=left_m_s), 0)
 
-    def move_wheels(
-        self, *, right_in: float | None = None, left_in: float | None = None,
-        right_m: float | None = None, left_m: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def move_wheels(self, *, right_in: float | None = None, left_in: float | None = None,
+                    right_m: float | None = None, left_m: float | None = None) -> RobotState:
         """Move the wheels of a Scout by distances. Raises RobotRefused for other models. C: pr."""
         self._require_wheels("pr")
         right = tenths_of(right_in=right_in, right_m=right_m)
@@ -309,9 +288,8 @@ class Robot:
         """Turn steering and turret to the bumper's zero and set position and angles to 0; may take 120 s. C: zr."""
         return self._command("zr")
 
-    def wait_until_still(
-        self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True, turret: bool = True
-    ) -> RobotState:
+    def wait_until_still(self, timeout_s: float = 20, *, translation: bool = True, steering: bool = True,
+                         turret: bool = True) -> RobotState:
         """Wait until the selected axes are still. A timeout stops nothing and raises nothing. C: ws.
 
         Parameters
@@ -370,49 +348,35 @@ class Robot:
 
     # -- settings -----------------------------------------------------------------------------------------------------
 
-    def set_speeds(
-        self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
-        steering_deg_s: float | None = None, steering_rad_s: float | None = None,
-        turret_deg_s: float | None = None, turret_rad_s: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_speeds(self, *, translation_in_s: float | None = None, translation_m_s: float | None = None,
+                   steering_deg_s: float | None = None, steering_rad_s: float | None = None,
+                   turret_deg_s: float | None = None, turret_rad_s: float | None = None) -> RobotState:
         """Set the speeds of `move`; an axis that is not given gets 0. C: sp.
 
         Both wheels of a Scout get the speed of translation; RobotRefused if another one is given.
         """
-        return self._set_axes(
-            "sp",
-            tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
-            tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
-            tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s),
-        )
+        return self._set_axes("sp", tenths_of(translation_in_s=translation_in_s, translation_m_s=translation_m_s),
+                              tenths_of(steering_deg_s=steering_deg_s, steering_rad_s=steering_rad_s),
+                              tenths_of(turret_deg_s=turret_deg_s, turret_rad_s=turret_rad_s))
 
-    def set_accelerations(
-        self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
-        steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
-        turret_deg_s2: float | None = None, turret_rad_s2: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_accelerations(self, *, translation_in_s2: float | None = None, translation_m_s2: float | None = None,
+                          steering_deg_s2: float | None = None, steering_rad_s2: float | None = None,
+                          turret_deg_s2: float | None = None, turret_rad_s2: float | None = None) -> RobotState:
         """Set the accelerations; an axis that is not given gets 0. C: ac.
 
         Both wheels of a Scout get the acceleration of translation; RobotRefused if another one is given.
         """
-        return self._set_axes(
-            "ac",
-            tenths_of(translation_in_s2=translation_in_s2, translation_m_s2=translation_m_s2),
-            tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
-            tenths_of(turret_deg_s2=turret_deg_s2, turret_rad_s2=turret_rad_s2),
-        )
+        return self._set_axes("ac", tenths_of(translation_in_s2=translation_in_s2, translation_m_s2=translation_m_s2),
+                              tenths_of(steering_deg_s2=steering_deg_s2, steering_rad_s2=steering_rad_s2),
+                              tenths_of(turret_deg_s2=turret_deg_s2, turret_rad_s2=turret_rad_s2))
 
-    def set_position(
-        self, *, x_in: float | None = None, y_in: float | None = None,
-        x_m: float | None = None, y_m: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_position(self, *, x_in: float | None = None, y_in: float | None = None,
+                     x_m: float | None = None, y_m: float | None = None) -> RobotState:
         """Set the position of the encoders, 0 where not given; the robot does not move. C: dp."""
         return self._command("dp", tenths_of(x_in=x_in, x_m=x_m), tenths_of(y_in=y_in, y_m=y_m))
 
-    def set_angles(
-        self, *, steering_deg: float | None = None, steering_rad: float | None = None,
-        turret_deg: float | None = None, turret_rad: float | None = None,
-    ) -> RobotState:  # fmt: skip
+    def set_angles(self, *, steering_deg: float | None = None, steering_rad: float | None = None,
+                   turret_deg: float | None = None, turret_rad: float | None = None) -> RobotState:
         """Set the angles of the encoders, 0 where not given; nothing turns. C: da."""
         steering = tenths_of(steering_deg=steering_deg, steering_rad=steering_rad)
         return self._command("da", steering, tenths_of(turret_deg=turret_deg, turret_rad=turret_rad))
@@ -429,10 +393,8 @@ class Robot:
         """
         return self._command("conf_tm", _whole_seconds(timeout_s))
 
-    def select_sensors(
-        self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
-        motion: bool = True, compass: bool = True, laser: bool = True,
-    ) -> RobotState:  # fmt: skip
+    def select_sensors(self, *, infrareds: Iterable[int] = RING, sonars: Iterable[int] = RING, bumpers: bool = True,
+                       motion: bool = True, compass: bool = True, laser: bool = True) -> RobotState:
         """Select the sensors whose readings replies carry; others keep their last reading. C: ct.
 
         Parameters
@@ -451,20 +413,16 @@ class Robot:
         mask = Mask((position, *rings, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
         return self._command("ct", *mask.smask)
 
-    def position_data(
-        self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False, laser: bool = False,
-        compass: bool = False,
-    ) -> RobotState:  # fmt: skip
+    def position_data(self, *, infrareds: bool = False, sonars: bool = False, bumpers: bool = False,
+                      laser: bool = False, compass: bool = False) -> RobotState:
         """Select the sensors whose readings get position stamps (`RobotState.stamps`). C: posDataRequest."""
         # The order of Position's members: bit 0 infrareds to bit 4 compass.
         selected = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
         bits = sum(bit for is_selected, bit in selected if is_selected)
         return self._command("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
-    def configure_sonars(
-        self, *, rate: int | None = None, interval_s: float | None = None,
-        order: Iterable[int] = types.DEFAULT_SONAR_ORDER,
-    ) -> RobotState:
+    def configure_sonars(self, *, rate: int | None = None, interval_s: float | None = None,
+                         order: Iterable[int] = types.DEFAULT_SONAR_ORDER) -> RobotState:
         """Set rate and order of the sonars. The first one then fires at the clock of the reply. C: conf_sn.
 
         Parameters
@@ -498,9 +456,8 @@ class Robot:
         """Set the mode of the compass: 0 off, 1 on, 2 calibrate. C: conf_cp."""
         return self._command("conf_cp", mode)
 
-    def configure_laser(
-        self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20, processing: int = 4
-    ) -> RobotState:
+    def configure_laser(self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20,
+                        processing: int = 4) -> RobotState:
         """Set the mode of the laser. C: conf_ls.
 
         Parameters
@@ -658,10 +615,9 @@ class Robot:
         """Remove the polygon with these corners. C: delete_obstacle."""
         self._query("delete_obstacle", *_polygon(corners_in, corners_m))
 
-    def move_obstacle(
-        self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
-        corners_m: Points | None = None, shift_m: tuple[float, float] | None = None,
-    ) -> tuple[tuple[float, float], ...]:  # fmt: skip
+    def move_obstacle(self, *, corners_in: Points | None = None, shift_in: tuple[float, float] | None = None,
+                      corners_m: Points | None = None,
+                      shift_m: tuple[float, float] | None = None) -> tuple[tuple[float, float], ...]:
         """Shift the polygon with these corners and return its new corners in inches. C: move_obstacle."""
         # Inches or metres, but the same unit for corners and shift is not required.
         shift = points_tenths(None if shift_in is None else [shift_in], None if shift_m is None else [shift_m])
@@ -678,9 +634,8 @@ class Robot:
         reply = self.execute(Call("predict_sensors", _pose_tenths(pose)))
         return Prediction(reply.values[1:17], reply.values[17:33], reply.laser or (0,))
 
-    def check_motion(
-        self, *, line_in: Points | None = None, line_m: Points | None = None, arc: Arc | None = None
-    ) -> Collision | None:
+    def check_motion(self, *, line_in: Points | None = None, line_m: Points | None = None,
+                     arc: Arc | None = None) -> Collision | None:
         """Find the first collision of a path. C: motion_check.
 
         Parameters
@@ -744,11 +699,9 @@ class Robot:
         """
         self._query("draw_line", *points_tenths(points_in, points_m), mode)
 
-    def draw_arc(
-        self, *, box_in: tuple[float, float, float, float] | None = None,
-        box_m: tuple[float, float, float, float] | None = None, angles_rad: tuple[float, float] = (0.0, math.tau),
-        mode: int = 1,
-    ) -> None:  # fmt: skip
+    def draw_arc(self, *, box_in: tuple[float, float, float, float] | None = None,
+                 box_m: tuple[float, float, float, float] | None = None,
+                 angles_rad: tuple[float, float] = (0.0, math.tau), mode: int = 1) -> None:
         """Draw an arc of an ellipse. C: draw_arc.
 
         Parameters

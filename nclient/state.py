@@ -118,18 +118,14 @@ class AxisCommand(NamedTuple):
     """Tenths of an inch or degree, per second for velocities and speeds, per second squared for accelerations."""
 
     @classmethod
-    def velocity(
-        cls, *, in_s: float | None = None, m_s: float | None = None,
-        deg_s: float | None = None, rad_s: float | None = None,
-    ) -> AxisCommand:  # fmt: skip
+    def velocity(cls, *, in_s: float | None = None, m_s: float | None = None,
+                 deg_s: float | None = None, rad_s: float | None = None) -> AxisCommand:
         """Return the command to keep this velocity until the next one."""
         return cls(AxisMode.VELOCITY, tenths_of(at_in_s=in_s, at_m_s=m_s, at_deg_s=deg_s, at_rad_s=rad_s))
 
     @classmethod
-    def relative(
-        cls, *, by_in: float | None = None, by_m: float | None = None,
-        by_deg: float | None = None, by_rad: float | None = None,
-    ) -> AxisCommand:  # fmt: skip
+    def relative(cls, *, by_in: float | None = None, by_m: float | None = None,
+                 by_deg: float | None = None, by_rad: float | None = None) -> AxisCommand:
         """Return the command to move by this distance or angle."""
         return cls(AxisMode.RELATIVE, tenths_of(by_in=by_in, by_m=by_m, by_deg=by_deg, by_rad=by_rad))
 
@@ -139,18 +135,14 @@ class AxisCommand(NamedTuple):
         return cls(AxisMode.LIMP)
 
     @classmethod
-    def acceleration(
-        cls, *, in_s2: float | None = None, m_s2: float | None = None,
-        deg_s2: float | None = None, rad_s2: float | None = None,
-    ) -> AxisCommand:  # fmt: skip
+    def acceleration(cls, *, in_s2: float | None = None, m_s2: float | None = None,
+                     deg_s2: float | None = None, rad_s2: float | None = None) -> AxisCommand:
         """Return the command to set the acceleration."""
         return cls(AxisMode.ACCELERATION, tenths_of(to_in_s2=in_s2, to_m_s2=m_s2, to_deg_s2=deg_s2, to_rad_s2=rad_s2))
 
     @classmethod
-    def speed(
-        cls, *, in_s: float | None = None, m_s: float | None = None,
-        deg_s: float | None = None, rad_s: float | None = None,
-    ) -> AxisCommand:  # fmt: skip
+    def speed(cls, *, in_s: float | None = None, m_s: float | None = None,
+              deg_s: float | None = None, rad_s: float | None = None) -> AxisCommand:
         """Return the command to set the speed of relative motions."""
         return cls(AxisMode.SPEED, tenths_of(at_in_s=in_s, at_m_s=m_s, at_deg_s=deg_s, at_rad_s=rad_s))
 
@@ -480,16 +472,14 @@ def snapshot(client_state: ClientState, model: Model) -> RobotState:
     # Slots without a value yet read 0; after the first whole state there are none.
     raw = tuple([value or 0 for value in slots]) if None in slots else cast("tuple[int, ...]", tuple(slots))
     stamps = dict(client_state.stamps) if client_state.stamps else {}
-    return RobotState(
-        model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts, client_state.is_held
-    )
+    return RobotState(model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts,
+                      client_state.is_held)
 
 
 def _stamp(raw: Stamp) -> PositionStamp:
-    return PositionStamp(
-        Pose(raw.x / 10, raw.y / 10, rad_from_tenths(raw.steer), rad_from_tenths(raw.turret)), raw.v_trans / 10,
-        rad_from_tenths(raw.v_steer), rad_from_tenths(raw.v_turret), raw.pose_time / 1000, raw.sensor_time / 1000,
-    )  # fmt: skip
+    return PositionStamp(Pose(raw.x / 10, raw.y / 10, rad_from_tenths(raw.steer), rad_from_tenths(raw.turret)),
+                         raw.v_trans / 10, rad_from_tenths(raw.v_steer), rad_from_tenths(raw.v_turret),
+                         raw.pose_time / 1000, raw.sensor_time / 1000)
 
 
 # -- picture in a notebook: pose, motion, sensors, and the sonars from above -----------------------------------------

@@ -349,10 +349,8 @@ def parse_address(text: str) -> Address:
     # 3. Place: host and port, device, or file.
     place = {} if is_foreign else _parse_place(raw, scheme)
     stripped = raw.without([name for name, option in OPTIONS.items() if option.schemes is None])
-    return Address(
-        raw.text, raw.scheme, scheme.wire, scheme.in_process, AddressOptions(**values), frozenset(raw.options),
-        stripped_text=stripped, **place,
-    )  # fmt: skip
+    return Address(raw.text, raw.scheme, scheme.wire, scheme.in_process, AddressOptions(**values),
+                   frozenset(raw.options), stripped_text=stripped, **place)
 
 
 def _family(robot: str, model_file: str) -> Model:

@@ -241,10 +241,8 @@ def _speed(text: str) -> float | None:
 def _setup(text: str) -> str:
     """Return the name of a setup, or of a file, which is read later."""
     if text not in SETUPS and not text.endswith(SUFFIX):
-        raise argparse.ArgumentTypeError(
-            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
-            f"{suggest(text, SETUPS)}"
-        )
+        raise argparse.ArgumentTypeError(f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in "
+                                         f"{SUFFIX}{suggest(text, SETUPS)}")
     return text
 
 
@@ -412,10 +410,8 @@ def _prepare_acoustics(simulation: Simulation) -> None:
         FIRST_ECHO.prepare(is_used)
 
 
-async def _serve_with(
-    proxies: Mapping[int, RealRobotProxy], setups: config.LegacySetup, options: argparse.Namespace,
-    faults: FaultController,
-) -> int:
+async def _serve_with(proxies: Mapping[int, RealRobotProxy], setups: config.LegacySetup, options: argparse.Namespace,
+                      faults: FaultController) -> int:
     # 1. Simulation: port and model from the options, else from the setup files, else the defaults.
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     run_header = _run_header(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
@@ -446,7 +442,8 @@ async def _serve_with(
             log.warning("--bind: %s", open_to)
         if options.record:
             numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(proxies)}
-            daemon.record(options.record, run_header.to_json(_now(), **numbers))
+            now = datetime.now(UTC).isoformat(timespec="seconds")
+            daemon.record(options.record, run_header.to_json(now, **numbers))
         await _run(daemon, gateway, options, stop, file)
     finally:
         await daemon.close()
@@ -454,9 +451,8 @@ async def _serve_with(
     return ExitCode.DONE
 
 
-async def _run(
-    daemon: Daemon, gateway: Gateway, options: argparse.Namespace, stop: asyncio.Event, file: SaveFile | None
-) -> None:
+async def _run(daemon: Daemon, gateway: Gateway, options: argparse.Namespace, stop: asyncio.Event,
+               file: SaveFile | None) -> None:
     """Open lines, control socket and page, print their addresses, and serve until the end."""
     # 1. Everything that listens; each closes what it opened: pages and bridges before the gateway, which they drive.
     lines = await open_lines(daemon, options)
@@ -489,9 +485,8 @@ def _run_header(options: argparse.Namespace, robot: str) -> RunHeader:
     """Return the configuration of the simulation: from the options, or from a snapshot."""
     # Robot 1 is the first placement, the others follow by number.
     (model, start), *others = robot_placements(options.robot or [robot], options.start or (), options.robots)
-    setting = SimulationConfig(
-        options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
-    )
+    setting = SimulationConfig(options.world, model, start, options.seed, options.noisy, options.setup or "",
+                               tuple(others), options.model_file)
     pace = SimulationClock(options.speed, options.paused, options.lockstep)
     admission = limits_of(options)
     allowed = Allowed(
@@ -511,10 +506,6 @@ def _replay(path: Path) -> int:
     if outcome.difference:
         print(f"nserver: {outcome.difference}", file=sys.stderr)
     return ExitCode.FAILED if outcome.difference else ExitCode.DONE
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:

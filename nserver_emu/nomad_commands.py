@@ -331,9 +331,8 @@ async def _run_program(command: list[str], environment: dict[str, str], over: as
     """Run the program until it ends, simulated time is over or real time is; return how it ended."""
     # Its output goes to stderr: stdout has the results. A group of its own ends with its children.
     try:
-        process = await asyncio.create_subprocess_exec(
-            *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=STDERR, start_new_session=True
-        )
+        process = await asyncio.create_subprocess_exec(*command, env=environment, stdin=asyncio.subprocess.DEVNULL,
+                                                       stdout=STDERR, start_new_session=True)
     except OSError as error:
         reason = f"{command[0]} cannot be started: {error.strerror}; does the script begin with #!?"
         raise ChallengeError(reason) from error

@@ -36,16 +36,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from worlds.geometry import (
-    BoolArray,
-    FloatArray,
-    area,
-    crossing,
-    lengths,
-    nearest_points,
-    polygon_segments,
-    polyline_segments,
-)
+from worlds import geometry
+from worlds.geometry import BoolArray, FloatArray, area, crossing, lengths, nearest_points, polygon_segments
 from worlds.world import Point, Polygon, World
 
 MIN_CORNERS = 3
@@ -66,7 +58,7 @@ def simplify_world(world: World, tolerance_in: float) -> World:
     # Each of the two steps may move a wall by half the tolerance.
     half = tolerance_in / 2.0
     merged = _merge_collinear(world.inner_walls, half)
-    walls = [polyline_segments(_select(line, half)) for line in _chain(merged)]
+    walls = [geometry.polyline_segments(_select(line, half)) for line in _chain(merged)]
     return replace(
         world,
         rooms=tuple(_simplify_polygon(room, tolerance_in) for room in world.rooms),
@@ -97,10 +89,7 @@ def _simplify_polygon(polygon: Polygon, tolerance_in: float) -> Polygon:
     corners = list(polygon.corners_in)
     # Split the outline at two corners far apart, which remain.
     far = int(np.argmax(np.hypot(*(np.array(corners) - corners[0]).T)))
-    one, other = (
-        _select(corners[: far + 1], tolerance_in),
-        _select([*corners[far:], corners[0]], tolerance_in),
-    )
+    one, other = (_select(corners[: far + 1], tolerance_in), _select([*corners[far:], corners[0]], tolerance_in))
     selected = [*one[:-1], *other[:-1]]
     edges = polygon_segments(selected)
     if len(selected) < MIN_CORNERS or crossing(edges) or not area(selected) * area(corners) > 0.0:
@@ -260,9 +249,8 @@ class GridWalls(NamedTuple):
     open_in: float
 
 
-def walls_of_cells(
-    grid: OccupancyGrid, tolerance_in: float, *, min_cells: int = 4, close_open_ends: bool = False
-) -> GridWalls:
+def walls_of_cells(grid: OccupancyGrid, tolerance_in: float, *, min_cells: int = 4,
+                   close_open_ends: bool = False) -> GridWalls:
     """Return straight walls along the boundary of the free cells.
 
     Parameters
@@ -388,10 +376,8 @@ def _straighten(corners: FloatArray, tolerance: float) -> FloatArray:
     fitted = [_fit(corners[one : other + 1]) for one, other in pairwise(ends)]
     # 3. Corners where neighbouring lines meet, or the old corner where they meet far away from it.
     is_closed = bool((corners[0] == corners[-1]).all())
-    points = [
-        _meeting(before, after, corners[end], tolerance)
-        for (before, after), end in zip(pairwise(fitted), ends[1:-1], strict=True)
-    ]
+    points = [_meeting(before, after, corners[end], tolerance)
+              for (before, after), end in zip(pairwise(fitted), ends[1:-1], strict=True)]
     first = _meeting(fitted[-1], fitted[0], corners[0], tolerance) if is_closed else _foot(fitted[0], corners[0])
     last = first if is_closed else _foot(fitted[-1], corners[-1])
     return np.stack([first, *points, last])
@@ -424,9 +410,8 @@ def _foot(line: tuple[FloatArray, FloatArray], point: FloatArray) -> FloatArray:
     return centre + (point - centre) @ direction * direction
 
 
-def _meeting(
-    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray], corner: FloatArray, tolerance: float
-) -> FloatArray:
+def _meeting(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray], corner: FloatArray,
+             tolerance: float) -> FloatArray:
     """Return where two lines meet; if that is farther than the tolerance from the corner, the mean of its feet."""
     (centre, direction), (other_centre, other_direction) = one, other
     cross = direction[0] * other_direction[1] - direction[1] * other_direction[0]

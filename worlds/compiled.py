@@ -104,12 +104,8 @@ def is_wanted(name: str, sources: int) -> bool:
 
 def functions_of(*modules: ModuleType) -> list[Callable[..., Any]]:
     """Return the functions that stand in modules."""
-    return [
-        function
-        for module in modules
-        for function in vars(module).values()
-        if isfunction(function) and function.__module__ == module.__name__
-    ]
+    return [function for module in modules for function in vars(module).values() if isfunction(function)
+            and function.__module__ == module.__name__]
 
 
 def make_compilable(functions: Iterable[Callable[..., Any]]) -> None:
@@ -149,10 +145,8 @@ class CompiledFunction:
         Arguments of the types that compiled code is made for.
     """
 
-    def __init__(
-        self, function: Callable[..., Any], sources: Callable[[], Sequence[ModuleType]],
-        example: Callable[[], tuple[Any, ...]],
-    ) -> None:  # fmt: skip
+    def __init__(self, function: Callable[..., Any], sources: Callable[[], Sequence[ModuleType]],
+                 example: Callable[[], tuple[Any, ...]]) -> None:
         self.run = self._plain = function
         """The function, plain or compiled."""
         self.is_compiled = False

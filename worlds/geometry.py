@@ -265,9 +265,7 @@ def _enter_into_grid(segments: FloatArray, reach_in: float) -> tuple[IndexArray,
         bounds = np.concatenate(([-inf], lines_x, [inf]))
         left = np.maximum(bounds[columns] - margin, low_x[rows])
         right = np.minimum(bounds[columns + 1] + margin, high_x[rows])
-        ends_y = [
-            y1[rows] + np.clip((x - x1[rows]) / divisor[rows], 0.0, 1.0) * along_y[rows] for x in (left, right)
-        ]
+        ends_y = [y1[rows] + np.clip((x - x1[rows]) / divisor[rows], 0.0, 1.0) * along_y[rows] for x in (left, right)]
         low_y = np.where(upright[rows], np.minimum(y1, y2)[rows], np.minimum(*ends_y))
         high_y = np.where(upright[rows], np.maximum(y1, y2)[rows], np.maximum(*ends_y))
         first = np.searchsorted(lines_y, low_y - margin)

@@ -25,28 +25,13 @@ from typing import Annotated, Any, Final
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
+import worlds.world
 from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError, suggest
 from worlds import schema
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.schema import Distance, Line, Table, table
-from worlds.world import (
-    AT_ORIGIN,
-    MAX_CORNERS,
-    MAX_DOORS,
-    MAX_PATH_POINTS,
-    MAX_ROUTE_POINTS,
-    MAX_STARTS,
-    MAX_WALKERS,
-    Door,
-    Path,
-    Point,
-    Polygon,
-    StartPose,
-    Walker,
-    WallAccuracy,
-    World,
-)
+from worlds.world import AT_ORIGIN, MAX_ROUTE_POINTS, Door, Path, Point, Polygon, StartPose, Walker, WallAccuracy, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -122,9 +107,7 @@ class _Wall(Table):
         """Return the accuracy of each of its walls; None if it was not measured."""
         if self.offset_std is UNSET:
             return None
-        angle_deg, measured_in = (
-            0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured)
-        )
+        angle_deg, measured_in = (0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured))
         return WallAccuracy(self.offset_std, radians(angle_deg), measured_in)
 
     def check(self) -> None:
@@ -247,25 +230,20 @@ def parse_world(text: str, file: str, name: str) -> World:
 def _build_world(values: WorldFile, name: str) -> World:
     """Return the world of a file's values. Raises InvalidValue."""
     # 1. Content.
-    starts = tuple(
-        StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg)) for start in values.start
-    )
+    starts = tuple(StartPose(start.x, start.y, radians(start.steering_deg), radians(start.turret_deg))
+                   for start in values.start)
     walls = [polyline_segments(wall.points) for wall in values.wall]
     accuracies = [wall.accuracy() for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
     names = [wall.name for wall, segments in zip(values.wall, walls, strict=True) for _ in segments]
-    world = World(
-        name=values.name or name,
-        title=values.title or values.name or name,
-        rooms=tuple(Polygon(room.corners, room.name) for room in values.room),
-        inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
-        obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
-        starts=starts or AT_ORIGIN,
-        paths=_paths(values.path, starts or AT_ORIGIN),
-        accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
-        wall_names={row: name for row, name in enumerate(names) if name},
-        doors=tuple(door.door() for door in values.door),
-        walkers=tuple(walker.walker() for walker in values.walker),
-    )
+    world = World(name=values.name or name, title=values.title or values.name or name,
+                  rooms=tuple(Polygon(room.corners, room.name) for room in values.room),
+                  inner_walls=np.concatenate([np.empty((0, 4)), *walls]),
+                  obstacles=tuple(Polygon(obstacle.corners, obstacle.name) for obstacle in values.obstacle),
+                  starts=starts or AT_ORIGIN, paths=_paths(values.path, starts or AT_ORIGIN),
+                  accuracies={row: accuracy for row, accuracy in enumerate(accuracies) if accuracy},
+                  wall_names={row: name for row, name in enumerate(names) if name},
+                  doors=tuple(door.door() for door in values.door),
+                  walkers=tuple(walker.walker() for walker in values.walker))
     # 2. The default start need not be free.
     _require_free_places(world, starts)
     # 3. Names of doors, and routes: doors on them may be opened later.
@@ -286,9 +264,8 @@ def route_error(world: World, walker: Walker) -> str:
     counts = np.ceil(lengths(legs) / walker.radius_in).astype(np.intp) + 1
     if counts.sum() > MAX_ROUTE_CHECKS:
         return f"expected a shorter route: at most {MAX_ROUTE_CHECKS} times the walker's radius"
-    on_route = np.concatenate([
-        np.linspace(leg[:2], leg[2:], count) for leg, count in zip(legs, counts.tolist(), strict=True)
-    ])  # fmt: skip
+    on_route = np.concatenate([np.linspace(leg[:2], leg[2:], count)
+                               for leg, count in zip(legs, counts.tolist(), strict=True)])
     blocked = np.flatnonzero(replace(world, doors=()).clearances(on_route) <= 0.9 * walker.radius_in)
     if not blocked.size:
         return ""
@@ -316,11 +293,11 @@ def _check_size(values: Mapping[str, Any]) -> None:
         for key, rows in tables.items()
     }
     for key, found, maximum, what in (
-        ("", sum(sizes.get(key, 0) for key in CONTENT), MAX_CORNERS, "corners in total"),
-        ("start", len(tables.get("start", ())), MAX_STARTS, "starts"),
-        ("door", len(tables.get("door", ())), MAX_DOORS, "doors"),
-        ("walker", len(tables.get("walker", ())), MAX_WALKERS, "walkers"),
-        ("path", sizes.get("path", 0), MAX_PATH_POINTS, "points in total"),
+        ("", sum(sizes.get(key, 0) for key in CONTENT), worlds.world.MAX_CORNERS, "corners in total"),
+        ("start", len(tables.get("start", ())), worlds.world.MAX_STARTS, "starts"),
+        ("door", len(tables.get("door", ())), worlds.world.MAX_DOORS, "doors"),
+        ("walker", len(tables.get("walker", ())), worlds.world.MAX_WALKERS, "walkers"),
+        ("path", sizes.get("path", 0), worlds.world.MAX_PATH_POINTS, "points in total"),
     ):
         if found > maximum:
             raise InvalidValue(f"expected at most {maximum} {what}, found {found}", key)
@@ -339,10 +316,8 @@ def _find(name: str) -> FilePath:
     # 3. A path as in the source tree, which an installed package does not have.
     if path.stem in names and path.name == f"{path.stem}.toml" and str(path.parent) in (".", "worlds"):
         return SHIPPED / path.name
-    raise WorldFileError(
-        f"{name or repr(name)}: no such file, and no shipped world of this name; "
-        f"expected a path or one of {', '.join(names)}{suggest(path.stem, names)}"
-    )
+    raise WorldFileError(f"{name or repr(name)}: no such file, and no shipped world of this name; expected a path or "
+                         f"one of {', '.join(names)}{suggest(path.stem, names)}")
 
 
 def _read(path: FilePath) -> str:

@@ -187,10 +187,8 @@ def _read_ros(path: Path) -> OccupancyGrid:
         mode = str(values.get("mode", "trinary"))
         size_in = float(values["resolution"]) * IN_PER_M
         x_m, y_m, turn_rad = (float(value) for value in values.get("origin", (0.0, 0.0, 0.0)))
-        occupied, free = (
-            float(values.get(key, default))
-            for key, default in (("occupied_thresh", OCCUPIED_THRESH), ("free_thresh", FREE_THRESH))
-        )
+        occupied, free = (float(values.get(key, default))
+                          for key, default in (("occupied_thresh", OCCUPIED_THRESH), ("free_thresh", FREE_THRESH)))
         image_path = path.parent / str(values["image"])
     except (KeyError, TypeError, ValueError, UnicodeDecodeError, yaml.YAMLError) as error:
         what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
@@ -241,9 +239,7 @@ def _read_carmen(path: Path) -> OccupancyGrid:
 
 def _cells(path: Path, grid: OccupancyGrid, settings: ImportSettings) -> ImportedMap:
     tolerance_in = settings.tolerance_in or DEFAULT_TOLERANCE * grid.size_in
-    found = walls_of_cells(
-        grid, tolerance_in, min_cells=settings.min_cells, close_open_ends=settings.close_open_ends
-    )
+    found = walls_of_cells(grid, tolerance_in, min_cells=settings.min_cells, close_open_ends=settings.close_open_ends)
     lines = [_without_crumbs(line) for line in found.walls]
     start = roomiest_place(grid)
     return ImportedMap(_world(path, lines, start, is_closed=not found.open_in), found.apart_in, found.open_in)
@@ -312,11 +308,8 @@ def _read_dxf(path: Path, settings: ImportSettings) -> tuple[list[FloatArray], f
     stated = InsertUnits(drawing.units)
     unit_in = settings.unit_in or (conversion_factor(stated, InsertUnits.Inches) if stated else 1.0)
     tolerance = (settings.tolerance_in or 0.25) / unit_in
-    entities = (
-        entity
-        for entity in recursive_decompose(drawing.modelspace())
-        if entity.dxftype() in _DXF_LINES and (not settings.layers or entity.dxf.layer in settings.layers)
-    )
+    entities = (entity for entity in recursive_decompose(drawing.modelspace()) if entity.dxftype() in _DXF_LINES
+                and (not settings.layers or entity.dxf.layer in settings.layers))
     lines = []
     for primitive in to_primitives(entities, max_flattening_distance=tolerance):
         if primitive.path is not None:

@@ -58,9 +58,8 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
         nearest, row = cast_ray(x, y, dx, dy, segments)
         return np.array(nearest), np.array(row, dtype=np.intp)
     shape = np.broadcast_shapes(starts.shape, along.shape)
-    ranges, rows = _cast_many(
-        np.broadcast_to(starts, shape).reshape(-1, 2), np.broadcast_to(along, shape).reshape(-1, 2), segments
-    )
+    ranges, rows = _cast_many(np.broadcast_to(starts, shape).reshape(-1, 2),
+                              np.broadcast_to(along, shape).reshape(-1, 2), segments)
     return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
 
 
@@ -131,10 +130,8 @@ def cast_each(rays: Sequence[tuple[float, float, float, float]], walls: FloatArr
     numbers = np.array(rays).view(np.complex128)
     sides = ((walls.view(np.complex128).reshape(1, -1) - numbers[:, :1]) * numbers[:, 1:].conj()).imag
     is_crossed = sides[:, 0::2] * sides[:, 1::2] <= SAME_SIDE_IN2
-    return [
-        nearest_wall(*ray, walls.take(row.nonzero()[0], axis=0).tolist())[0]
-        for ray, row in zip(rays, is_crossed, strict=True)
-    ]
+    return [nearest_wall(*ray, walls.take(row.nonzero()[0], axis=0).tolist())[0]
+            for ray, row in zip(rays, is_crossed, strict=True)]
 
 
 def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reach_in: float) -> FloatArray:
@@ -170,12 +167,9 @@ def cast_fan(x: float, y: float, angles_rad: FloatArray, walls: FloatArray, reac
     low[is_close], high[is_close] = -2.0 * np.pi, 2.0 * np.pi
     # 3. The rays in these intervals, which may lie a turn away.
     rays = angles_rad - middle_rad
-    begins, stops = (
-        np.column_stack([
-            np.searchsorted(rays, bound + shift + margin) for shift in (-2.0 * np.pi, 0.0, 2.0 * np.pi)
-        ])
-        for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD))
-    )
+    turns = (-2.0 * np.pi, 0.0, 2.0 * np.pi)
+    begins, stops = (np.column_stack([np.searchsorted(rays, bound + turned + margin) for turned in turns])
+                     for bound, margin in ((low, -FAN_MARGIN_RAD), (high, FAN_MARGIN_RAD)))
     begin = np.where(begins < stops, begins, len(rays)).min(axis=1, initial=len(rays))
     stop = np.where(begins < stops, stops, 0).max(axis=1, initial=0)
     # 4. Nearest walls first, a block of pairs at a time: what stands behind them is left out.

@@ -27,20 +27,13 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec import UNSET, Meta, UnsetType
 
 from nclient.common.validation import InvalidValue
-from nclient.protocol.types import (
-    DEFAULT_SONAR_ORDER,
-    DEFAULT_SONAR_RATE,
-    MAX_SONAR_IN,
-    MAX_SONAR_RATE,
-    MIN_SONAR_IN,
-    SONAR_RATE_STEP_S,
-    SONAR_SLOTS,
-)
+from nclient.protocol import types
+from nclient.protocol.types import MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
 from worlds.schema import Distance, Length, Points, Table, table
 
 MAX_SONARS: Final = 64
 """Sonars of a ring in a model file."""
-MIN_INTERVAL_S, MAX_INTERVAL_S = SONAR_RATE_STEP_S, MAX_SONAR_RATE * SONAR_RATE_STEP_S
+MIN_INTERVAL_S, MAX_INTERVAL_S = SONAR_RATE_STEP_S, types.MAX_SONAR_RATE * SONAR_RATE_STEP_S
 """Interval of a ring: what conf_sn can set as well."""
 MAX_RANGE_IN: Final = 480.0
 """Longest range of a ring, 12 m: the simulation looks no farther for other robots."""
@@ -125,14 +118,9 @@ class Ring:
     def fits_state(self) -> bool:
         """True if State shows the readings of this ring as they are, and conf_sn can set its order and interval."""
         rate = self.interval_s / SONAR_RATE_STEP_S
-        return (
-            self.count <= SONAR_SLOTS
-            and all(len(group) == 1 for group in self.firing)
-            and abs(rate - round(rate)) < _ROUNDING_IN
-            and self.resolution_in == 1.0
-            and self.min_range_in >= MIN_SONAR_IN
-            and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in
-        )
+        return (self.count <= SONAR_SLOTS and all(len(group) == 1 for group in self.firing)
+                and abs(rate - round(rate)) < _ROUNDING_IN and self.resolution_in == 1.0
+                and self.min_range_in >= MIN_SONAR_IN and self.max_range_in <= MAX_SONAR_IN == self.no_echo_in)
 
     @property
     def rate(self) -> int:
@@ -142,10 +130,8 @@ class Ring:
     @property
     def mounts(self) -> tuple[SonarMount, ...]:
         """The sonars as filters see them: direction, and distances of the beam from the robot's axis."""
-        return tuple(
-            SonarMount(angle_rad, self.radius_in + self.shift_in(sonar)[0], self.shift_in(sonar)[1])
-            for sonar, angle_rad in enumerate(self.angles_rad)
-        )
+        return tuple(SonarMount(angle_rad, self.radius_in + self.shift_in(sonar)[0], self.shift_in(sonar)[1])
+                     for sonar, angle_rad in enumerate(self.angles_rad))
 
     def shift_in(self, sonar: int) -> tuple[float, float]:
         """Return a sonar's shift: along its direction, and to the left of it."""
@@ -175,16 +161,13 @@ class Ring:
         if not 0 < self.count <= MAX_SONARS:
             raise InvalidValue(f"expected 1 to {MAX_SONARS} sonars, found {self.count}")
         if not 0.0 <= self.min_range_in < self.max_range_in <= MAX_RANGE_IN:
-            raise InvalidValue(
-                f"expected a minimum below the maximum range and a maximum of at most {MAX_RANGE_IN:g} in, found "
-                f"{self.min_range_in:g} and {self.max_range_in:g} in"
-            )
+            raise InvalidValue(f"expected a minimum below the maximum range and a maximum of at most {MAX_RANGE_IN:g} "
+                               f"in, found {self.min_range_in:g} and {self.max_range_in:g} in")
         if self.min_range_in < self.no_echo_in < self.max_range_in:
             raise InvalidValue(f"expected a no_echo reading outside of the ranges, found {self.no_echo_in:g}")
         if not MIN_RESOLUTION_IN <= self.resolution_in <= self.range_span_in:
-            raise InvalidValue(
-                f"expected a resolution from {MIN_RESOLUTION_IN:g} in to the range, found {self.resolution_in:g} in"
-            )
+            raise InvalidValue(f"expected a resolution from {MIN_RESOLUTION_IN:g} in to the range, found "
+                               f"{self.resolution_in:g} in")
         if not MIN_INTERVAL_S <= self.interval_s <= MAX_INTERVAL_S:
             raise InvalidValue(f"expected an interval of {MIN_INTERVAL_S:g} to {MAX_INTERVAL_S:g} s")
         fired = [sonar for group in self.firing for sonar in group]
@@ -200,9 +183,8 @@ class Ring:
             raise InvalidValue(f"expected mounts within {MAX_MOUNT_IN:g} in of the axis")
 
 
-def quantized_range(
-    range_in: float, min_range_in: float, max_range_in: float, resolution_in: float, no_echo_in: float
-) -> float:
+def quantized_range(range_in: float, min_range_in: float, max_range_in: float, resolution_in: float,
+                    no_echo_in: float) -> float:
     """Return the reading of a range; limits and resolution are those of a `Ring`."""
     if range_in >= max_range_in:
         return no_echo_in
@@ -217,10 +199,9 @@ def evenly(count: int) -> tuple[float, ...]:
 
 def nomad_ring(radius_in: float) -> Ring:
     """Return the ring of the Nomads: 16 sonars, one every 60 ms, whole inches from 6 to 255."""
-    return Ring(
-        radius_in, evenly(SONAR_SLOTS), tuple((sonar,) for sonar in DEFAULT_SONAR_ORDER),
-        DEFAULT_SONAR_RATE * SONAR_RATE_STEP_S, float(MIN_SONAR_IN), float(MAX_SONAR_IN), 1.0, float(MAX_SONAR_IN),
-    )  # fmt: skip
+    order = tuple((sonar,) for sonar in types.DEFAULT_SONAR_ORDER)
+    return Ring(radius_in, evenly(SONAR_SLOTS), order, types.DEFAULT_SONAR_RATE * SONAR_RATE_STEP_S,
+                float(MIN_SONAR_IN), float(MAX_SONAR_IN), 1.0, float(MAX_SONAR_IN))
 
 
 SonarNumber = Annotated[int, Meta(ge=0, lt=MAX_SONARS)]

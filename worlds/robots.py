@@ -180,9 +180,7 @@ class _Spread(Table):
     way_scale: ScaleSpread = 0.0
     turn_scale: ScaleSpread = 0.0
     drift_rad_in: ScaleSpread = 0.0
-    offsets_in: (
-        Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType
-    ) = UNSET
+    offsets_in: (Annotated[tuple[Annotated[float, Meta(ge=0.0, le=MAX_OFFSET_IN)], ...], _PerSonar] | UnsetType) = UNSET
     turned_deg: Annotated[
         float, Meta(ge=0.0, le=MAX_RING_TURN_DEG, description="of the ring's rotation, degrees")
     ] = 0.0
@@ -250,10 +248,8 @@ class ModelTable(Table):
         if not (self.odometry or self.sonar or self.spread):
             return None
         odometry, sonar, spread = self.odometry or _Odometry(), self.sonar or _Sonar(), self.spread or _Spread()
-        offsets, offset_stds = (
-            _offsets_of(part.offsets_in, sonars, f"{place}.{name}.offsets_in")
-            for part, name in ((sonar, "sonar"), (spread, "spread"))
-        )
+        offsets, offset_stds = (_offsets_of(part.offsets_in, sonars, f"{place}.{name}.offsets_in")
+                                for part, name in ((sonar, "sonar"), (spread, "spread")))
         return Calibration(
             odometry.way_scale, odometry.turn_scale, odometry.drift_rad_in, offsets, radians(sonar.turned_deg),
             Spread(spread.way_scale, spread.turn_scale, spread.drift_rad_in, offset_stds, radians(spread.turned_deg)),

@@ -94,9 +94,8 @@ def _keys(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for unit in INCHES_PER_UNIT)
 
 
-def table(
-    *one_of: tuple[str, ...], condition: dict[str, Any] | None = None, **tag: str
-) -> Callable[[type[T]], type[T]]:
+def table(*one_of: tuple[str, ...], condition: dict[str, Any] | None = None,
+          **tag: str) -> Callable[[type[T]], type[T]]:
     """Return a decorator that makes a msgspec struct of a class with annotations: a table of a file.
 
     Unknown keys are refused. A field in units is read from exactly one of NAME_in, NAME_cm, NAME_m, and is in inches;
@@ -130,10 +129,8 @@ def table(
         members["__post_init__"] = lambda self: _check_groups(self, groups)
         members["CONDITIONS"] = [*(at_most_one(*group) for group in groups), *([condition] if condition else [])]
         key, value = next(iter(tag.items()), (None, None))
-        made: Any = msgspec.defstruct(
-            cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__, frozen=True, kw_only=True,
-            forbid_unknown_fields=True, tag_field=key, tag=value,
-        )  # fmt: skip
+        made: Any = msgspec.defstruct(cls.__name__.strip("_"), fields, namespace=members, module=cls.__module__,
+                                      frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field=key, tag=value)
         return made  # type: ignore[no-any-return]
 
     return build

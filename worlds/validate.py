@@ -160,12 +160,9 @@ def _gaps(walls: FloatArray, limits: ValidationLimits) -> Iterator[Finding]:
         if TOUCHING_IN < gap <= limits.gap_in:
             end, (at_x, at_y) = int(ends[row]), points[row]
             x, y = walls.reshape(-1, 2)[end]
-            yield Finding(
-                "gap",
-                (float(x), float(y)),
-                f"{_wall(walls, end // 2)} stops {gap:.3g} in short of "
-                f"({at_x:g}, {at_y:g}) on {_wall(walls, int(others[row]))}",
-            )
+            yield Finding("gap", (float(x), float(y)),
+                          f"{_wall(walls, end // 2)} stops {gap:.3g} in short of ({at_x:g}, {at_y:g}) on "
+                          f"{_wall(walls, int(others[row]))}")
 
 
 def _near_pairs(walls: FloatArray, reach_in: float) -> list[tuple[int, int]]:
@@ -186,12 +183,9 @@ def _doubled(world: World, limits: ValidationLimits) -> Iterator[Finding]:
     for one, other, (x, y), overlap, apart in pairs:
         if one in at_walls or other in at_walls:
             continue
-        yield Finding(
-            "doubled",
-            (x, y),
-            f"{_wall(walls, one)} and {_wall(walls, other)} lie "
-            f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most",
-        )
+        yield Finding("doubled", (x, y),
+                      f"{_wall(walls, one)} and {_wall(walls, other)} lie over one another for {overlap:.3g} in, "
+                      f"{apart:.3g} in apart at most")
 
 
 def _closed_outlines(walls: FloatArray, first: int) -> Iterator[range]:
@@ -205,9 +199,8 @@ def _closed_outlines(walls: FloatArray, first: int) -> Iterator[range]:
             begin = row + 1
 
 
-def _overlaps(
-    walls: FloatArray, limits: ValidationLimits
-) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
+def _overlaps(walls: FloatArray,
+              limits: ValidationLimits) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
     """Yield pairs of doubled walls: rows, middle of the overlap, its length, and their distance."""
     for number, other in _near_pairs(walls, limits.apart_in):
         # 1. Ends of the other wall in the frame of this one: along its direction and across it.

@@ -308,10 +308,8 @@ class World:
         rooms = len(self.rooms)
         if rooms and not any(within[:rooms]):
             low, high = self._edges.reshape(-1, 2).min(axis=0), self._edges.reshape(-1, 2).max(axis=0)
-            return (
-                f"lies outside the world {self.name}, which spans x from {low[0]:g} to {high[0]:g} "
-                f"and y from {low[1]:g} to {high[1]:g} in"
-            )
+            return (f"lies outside the world {self.name}, which spans x from {low[0]:g} to {high[0]:g} and y from "
+                    f"{low[1]:g} to {high[1]:g} in")
         solids = [thing for thing, holds in zip(self.obstacles, within[rooms:], strict=True) if holds]
         return f"lies inside {_titled(solids[0], 'an obstacle')}" if solids else ""
 
@@ -395,23 +393,19 @@ class WorldState:
     @classmethod
     def of(cls, world: World) -> WorldState:
         """Return the state of a world."""
-        return cls(
-            name=world.name, title=world.title, rooms=world.rooms,
-            inner_walls=tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist()),
-            obstacles=world.obstacles, starts=world.starts, paths=tuple(world.paths.values()),
-            doors=world.doors or None, walkers=world.walkers or None, accuracies=dict(world.accuracies) or None,
-            wall_names=dict(world.wall_names) or None,
-        )  # fmt: skip
+        return cls(name=world.name, title=world.title, rooms=world.rooms,
+                   inner_walls=tuple((x1, y1, x2, y2) for x1, y1, x2, y2 in world.inner_walls.tolist()),
+                   obstacles=world.obstacles, starts=world.starts, paths=tuple(world.paths.values()),
+                   doors=world.doors or None, walkers=world.walkers or None, accuracies=dict(world.accuracies) or None,
+                   wall_names=dict(world.wall_names) or None)
 
     def world(self) -> World:
         """Return the world; raise ValueError if a value is impossible."""
         self._check_sizes()
         self._check_values()
-        return World(
-            self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles, self.starts,
-            {path.name: path for path in self.paths}, accuracies=self.accuracies or {}, doors=self.doors or (),
-            walkers=self.walkers or (), wall_names=self.wall_names or {},
-        )  # fmt: skip
+        return World(self.name, self.title, self.rooms, np.array(self.inner_walls).reshape(-1, 4), self.obstacles,
+                     self.starts, {path.name: path for path in self.paths}, accuracies=self.accuracies or {},
+                     doors=self.doors or (), walkers=self.walkers or (), wall_names=self.wall_names or {})
 
     def _check_sizes(self) -> None:
         """Raise ValueError if there is too little or too much of something."""

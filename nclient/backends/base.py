@@ -106,11 +106,8 @@ class LinkStatistics:
         faults = [f"{count} {name.replace('_', ' ')}" for name, count in self.counts().items()
                   if count and name not in _NO_FAULTS]
         times = ", ".join(f"{part:.0%} within {1000 * self.latency_s(part):.3g} ms" for part in (0.5, 0.99))
-        return "\n".join([
-            f"{self.exchanges} exchanges, {self.answers} answers",
-            ", ".join(faults) or "no faults seen",
-            f"{times}, the longest {1000 * self.longest_s:.3g} ms" if self.answers else "no times yet",
-        ])
+        return "\n".join([f"{self.exchanges} exchanges, {self.answers} answers", ", ".join(faults) or "no faults seen",
+                          f"{times}, the longest {1000 * self.longest_s:.3g} ms" if self.answers else "no times yet"])
 
 
 _TIMES: Final = frozenset({"latencies", "longest_s"})
@@ -255,10 +252,8 @@ class KeepAlive(Wrapper):
         Seconds.
     """
 
-    def __init__(
-        self, inner: Backend, timeout_s: int = DEFAULT_TIMEOUT_S, *, feeds: bool = True,
-        at_least_every_s: float = float("inf"), clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    def __init__(self, inner: Backend, timeout_s: int = DEFAULT_TIMEOUT_S, *, feeds: bool = True,
+                 at_least_every_s: float = float("inf"), clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(inner)
         self._timeout_s = timeout_s
         self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
@@ -273,10 +268,9 @@ class KeepAlive(Wrapper):
         self._last_request_s = clock()
         self._active = self._set_timeout(inner)
         """False if the other end has no motion timeout, or the program controls it."""
-        self._thread = threading.Thread(
-            target=_poll_until_end, args=(weakref.ref(self), inner, self._events, self._interval_s),
-            name="nomad-keep-alive", daemon=True,
-        )  # fmt: skip
+        self._thread = threading.Thread(target=_poll_until_end,
+                                        args=(weakref.ref(self), inner, self._events, self._interval_s),
+                                        name="nomad-keep-alive", daemon=True)
         if feeds and self._active:
             self._thread.start()
             # At the end of the program, which ends the thread, the timeout stops the robot.
@@ -356,9 +350,8 @@ class KeepAlive(Wrapper):
             self._speed = speed / _REAL_TIME
 
 
-def _poll_until_end(
-    reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event], interval_s: float
-) -> None:
+def _poll_until_end(reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event],
+                    interval_s: float) -> None:
     """Poll until the end, with a strong reference only during a poll; stop the robot if it was dropped."""
     while True:
         try:

@@ -73,9 +73,8 @@ class SerialLink:
         Seconds; all waiting and all latencies use it.
     """
 
-    def __init__(
-        self, stream: ByteStream, statistics: LinkStatistics, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, stream: ByteStream, statistics: LinkStatistics,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = stream
         self._statistics = statistics
         self._clock = clock
@@ -242,10 +241,9 @@ class DirectBackend:
     port = 1
     """As connect_robot of the C library returns."""
 
-    def __init__(
-        self, stream: ByteStream, model: Model, *, hello: bool = False, timeout_s: float | None = None,
-        checks: bool = True, link: LinkStatistics | None = None, clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    def __init__(self, stream: ByteStream, model: Model, *, hello: bool = False, timeout_s: float | None = None,
+                 checks: bool = True, link: LinkStatistics | None = None,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
         self.link = link or LinkStatistics()
         self._line = SerialLink(stream, self.link, clock)
@@ -457,9 +455,8 @@ class DirectBackend:
     def _receive_handshake(self) -> None:
         data = self._line.receive_raw(HANDSHAKE_SIZE, self._line.deadline(HANDSHAKE_S))
         if len(data) < HANDSHAKE_SIZE:
-            raise ReplyTimeout(
-                f"an n200 sends {HANDSHAKE_SIZE} bytes first, and {len(data)} came; {self._mismatch_hint()}"
-            )
+            raise ReplyTimeout(f"an n200 sends {HANDSHAKE_SIZE} bytes first, and {len(data)} came; "
+                               f"{self._mismatch_hint()}")
         apply_handshake(read_handshake(data), self.wire_state)
         self._laser_mode_is_certain = True
         self._format_calls["ct"] = Call("ct", self.wire_state.mask.smask)
@@ -491,9 +488,8 @@ def _encode(call: Call, model: Model) -> bytes:
     return codec.encode_serial_request(call, serial_wire_state(model))
 
 
-def send_emergency_stop(
-    stream: ByteStream, timeout_s: float, clock: Callable[[], float], on_sent: Callable[[], object]
-) -> SerialFrame:
+def send_emergency_stop(stream: ByteStream, timeout_s: float, clock: Callable[[], float],
+                        on_sent: Callable[[], object]) -> SerialFrame:
     """Send st as the first bytes of a session, before handshake and mask.
 
     The bytes of st and the type of its reply are the same for every model and mask: a robot can be stopped even if

@@ -76,10 +76,9 @@ class NserverBackend:
         If the server has no robot of that number.
     """
 
-    def __init__(
-        self, stream: ByteStream, *, robot_id: int = 1, model: Model = N150, timeout_s: float = DEFAULT_TIMEOUT_S,
-        create: bool = False, pid: int | None = None, link: LinkStatistics | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, stream: ByteStream, *, robot_id: int = 1, model: Model = N150,
+                 timeout_s: float = DEFAULT_TIMEOUT_S, create: bool = False, pid: int | None = None,
+                 link: LinkStatistics | None = None) -> None:
         self.timeout_s = timeout_s
         self.robot_id = robot_id
         self.link = link

@@ -246,9 +246,8 @@ class SpeedLimiter(Wrapper):
         Maximum rate of steering and turret in degrees per second; of a Scout, of its body.
     """
 
-    def __init__(
-        self, inner: Backend, *, max_speed_in_s: float = float("inf"), max_turn_deg_s: float = float("inf")
-    ) -> None:
+    def __init__(self, inner: Backend, *, max_speed_in_s: float = float("inf"),
+                 max_turn_deg_s: float = float("inf")) -> None:
         super().__init__(inner)
         self._speed, self._turn = 10 * max_speed_in_s, 10 * max_turn_deg_s  # tenths, as on the wire
         if inner.wire_state.model.has_turret:
@@ -290,11 +289,8 @@ class SpeedLimiter(Wrapper):
 
     def _confirm_speeds(self, set_by_call: Mapping[int, int]) -> None:
         """Send the speeds that the robot may not have; axes without a limit are left alone."""
-        speeds = {
-            axis: self._set_speeds.get(axis, int(limit))
-            for axis, limit in enumerate(self._limits)
-            if limit < float("inf") and axis not in self._confirmed and axis not in set_by_call
-        }
+        speeds = {axis: self._set_speeds.get(axis, int(limit)) for axis, limit in enumerate(self._limits)
+                  if limit < float("inf") and axis not in self._confirmed and axis not in set_by_call}
         if speeds:
             self._inner.execute(_mv_call(_SPEED, speeds))
             self._confirmed |= speeds.keys()
@@ -483,10 +479,8 @@ class ReconnectingBackend(Wrapper):
         Waits for that many seconds, or less if the backend is closed.
     """
 
-    def __init__(
-        self, inner: Backend, open_session: Callable[[], Backend], max_pause_s: float = MAX_PAUSE_S, *,
-        clock: Callable[[], float] = time.monotonic, wait: Callable[[float], object] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, inner: Backend, open_session: Callable[[], Backend], max_pause_s: float = MAX_PAUSE_S, *,
+                 clock: Callable[[], float] = time.monotonic, wait: Callable[[float], object] | None = None) -> None:
         super().__init__(inner)
         self._open_session = open_session
         self._max_pause_s = max_pause_s

@@ -301,9 +301,8 @@ class Diagnostics:
         If the robot cannot be reached at the start.
     """
 
-    def __init__(
-        self, open_session: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
-    ) -> None:
+    def __init__(self, open_session: Callable[[], Backend], clock: Callable[[], float],
+                 sleep: Callable[[float], None]) -> None:
         self._open_session = open_session
         self._clock, self._sleep = clock, sleep
         self._backend = open_session()

@@ -46,7 +46,6 @@ class ConvertCommand:
     def run(options: argparse.Namespace) -> int:
         """Convert a file, and return the exit code."""
         from nclient.recording import convert  # here: completion and help need no formats
-        from nclient.recording.format import escape_controls
 
         # The target first: a mistake there must not cost the time to read a long file.
         convert.format_to_write(options.target)

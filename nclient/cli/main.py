@@ -141,12 +141,9 @@ class _TopParser(Parser):
 
 
 def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
-    parser = _TopParser(
-        prog="nomad",
-        usage="nomad COMMAND ...",
-        description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = _TopParser(prog="nomad", usage="nomad COMMAND ...",
+                        description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
+                        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.commands = commands
     add_version(parser)
     return parser

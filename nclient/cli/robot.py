@@ -83,9 +83,8 @@ class StateCommand:
         return ExitCode.DONE
 
 
-def watch(
-    robot: Robot, parts: list[str], looks: int | None, every_s: float, *, as_json: bool, sleep: Callable[[float], None]
-) -> None:
+def watch(robot: Robot, parts: list[str], looks: int | None, every_s: float, *, as_json: bool,
+          sleep: Callable[[float], None]) -> None:
     """Show the state `looks` times, forever if None; on a terminal each time in the same place."""
     in_place = sys.stdout.isatty() and looks != 1 and not as_json
     looked = 0
@@ -220,9 +219,8 @@ class RobotStopper:
         Waits a number of seconds.
     """
 
-    def __init__(
-        self, connect: Callable[[], Backend], clock: Callable[[], float], sleep: Callable[[float], None]
-    ) -> None:
+    def __init__(self, connect: Callable[[], Backend], clock: Callable[[], float],
+                 sleep: Callable[[float], None]) -> None:
         self._connect = connect
         self._clock, self._sleep = clock, sleep
         self._robot: Robot | None = None

@@ -196,9 +196,8 @@ class ClientSession:
         Returns seconds.
     """
 
-    def __init__(
-        self, limit_s: float, has_waiting_client: Callable[[], bool], clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, limit_s: float, has_waiting_client: Callable[[], bool],
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.idle_timer = IdleTimer(limit_s, clock)
         self._limit_s, self._has_waiting_client, self._clock = limit_s, has_waiting_client, clock
         self._polled_s = -math.inf
@@ -220,9 +219,8 @@ class ClientSession:
         return True
 
 
-def serve_clients(
-    listener: Listener, options: argparse.Namespace, serve: Callable[[ByteStream, ClientSession], None]
-) -> None:
+def serve_clients(listener: Listener, options: argparse.Namespace,
+                  serve: Callable[[ByteStream, ClientSession], None]) -> None:
     """Serve one client after another, forever or, with --once, until one disconnects by itself."""
     while True:
         # One client at a time: two programs would disturb each other on one robot.
@@ -294,18 +292,15 @@ def forward(near: ByteStream, far: ByteStream, session: ClientSession, monitor: 
     """Forward bytes in both directions until one end is closed or the client's session ends."""
     # One thread per direction; either of them ends both.
     finished = threading.Event()
-    to_near = threading.Thread(
-        target=_forward_direction, args=(far, near, finished, monitor.to_host, lambda _: False), daemon=True
-    )
+    to_near = threading.Thread(target=_forward_direction, args=(far, near, finished, monitor.to_host, lambda _: False),
+                               daemon=True)
     to_near.start()
     _forward_direction(near, far, finished, monitor.to_robot, session.should_end)
     to_near.join()
 
 
-def _forward_direction(
-    source: ByteStream, target: ByteStream, finished: threading.Event, observe: Callable[[bytes], None],
-    should_end: Callable[[bool], bool],
-) -> None:  # fmt: skip
+def _forward_direction(source: ByteStream, target: ByteStream, finished: threading.Event,
+                       observe: Callable[[bytes], None], should_end: Callable[[bool], bool]) -> None:
     """Forward until `finished`, a lost connection, or `should_end`, which is called with True if nothing was read.
 
     A lost connection is reported once, by the direction that notices it first.

@@ -257,31 +257,20 @@ def _stop_if_moving(session: Session) -> None:
 
 def _execute_script(session: Session, lines: Iterable[str], name: str) -> int:
     """Execute a script up to the first line that fails, and return the exit code."""
+    def execute(text: str) -> None:
+        _show(session.run(text))
+
     # Lines from stdin cannot be checked in advance: they may be typed by another program as it goes.
-    if not isinstance(lines, list):
-        return _execute_lines(session, lines, name)
-    for number, text in enumerate(lines, 1):
-        try:
-            session.check(text)
-        except NomadError as error:
-            return _report_failure(name, number, error)
-    return _execute_lines(session, lines, name)
-
-
-def _execute_lines(session: Session, lines: Iterable[str], name: str) -> int:
-    for number, text in enumerate(lines, 1):
-        try:
-            _show(session.run(text))
-        except NomadError as error:
-            return _report_failure(name, number, error)
-        if session.finished:
-            break
+    for process in (session.check, execute) if isinstance(lines, list) else (execute,):
+        for number, text in enumerate(lines, 1):
+            try:
+                process(text)
+            except NomadError as error:
+                print_message(f"{name}:{number}: {error}")
+                return ExitCode.FAILED
+            if session.finished:
+                break
     return ExitCode.DONE
-
-
-def _report_failure(name: str, number: int, error: NomadError) -> int:
-    print_message(f"{name}:{number}: {error}")
-    return ExitCode.FAILED
 
 
 def _show(lines: Iterator[str]) -> None:

@@ -485,10 +485,8 @@ def _counts(wanted: tuple[Parameter, ...]) -> tuple[int, int]:
 
 def _lists_fit(wanted: tuple[Parameter, ...], values: tuple[Value, ...]) -> bool:
     """Return True if lists are given only for arrays of the C call."""
-    return all(
-        not isinstance(value, tuple) or (place < len(wanted) and wanted[place].length > 1)
-        for place, value in enumerate(values)
-    )
+    return all(not isinstance(value, tuple) or (place < len(wanted) and wanted[place].length > 1)
+               for place, value in enumerate(values))
 
 
 def _flatten(name: str, values: tuple[Value, ...]) -> tuple[int | float, ...]:
@@ -537,9 +535,8 @@ class Session:
         True if time passes by requests of this session only.
     """
 
-    def __init__(
-        self, backend: Backend, sleep: Callable[[float], None], pid: int | None = None, *, lockstep: bool = False
-    ) -> None:
+    def __init__(self, backend: Backend, sleep: Callable[[float], None], pid: int | None = None, *,
+                 lockstep: bool = False) -> None:
         self.robot = Robot(backend, lockstep=lockstep)
         self._lockstep = lockstep
         self.finished = False

@@ -19,6 +19,7 @@ from nclient.state import NO_ECHO_IN, RobotState
 _SECTOR_DEG = 22.5
 # Columns of the name of a part.
 _WIDTH = 11
+_POSE = "x {:.1f} in  y {:.1f} in  steering {:.1f} deg  turret {:.1f} deg"
 
 
 def format_state(state: RobotState) -> str:
@@ -80,19 +81,14 @@ def as_json(state: RobotState) -> dict[str, Any]:
 
 
 def _pose(state: RobotState) -> str:
-    return (
-        f"x {state.x_in:.1f} in  y {state.y_in:.1f} in  "
-        f"steering {state.steering_deg:.1f} deg  turret {state.turret_deg:.1f} deg"
-    )
+    return _POSE.format(state.x_in, state.y_in, state.steering_deg, state.turret_deg)
 
 
 def _velocity(state: RobotState) -> str:
     # A Scout has no turret; its third velocity has no meaning, its wheels have.
     wheels = "" if state.model.has_turret else f"  right {state.right_in_s:.1f} in/s  left {state.left_in_s:.1f} in/s"
-    return (
-        f"translation {state.translation_in_s:.1f} in/s  steering {state.steering_deg_s:.1f} deg/s  "
-        f"turret {state.turret_deg_s:.1f} deg/s{wheels}"
-    )
+    return (f"translation {state.translation_in_s:.1f} in/s  steering {state.steering_deg_s:.1f} deg/s  turret "
+            f"{state.turret_deg_s:.1f} deg/s{wheels}")
 
 
 def _motors(state: RobotState) -> str:
@@ -181,19 +177,15 @@ def _accelerations(reply: Reply) -> str:
 
 
 def _clicked(reply: Reply) -> str:
-    return "x {:.1f} in  y {:.1f} in  steering {:.1f} deg  turret {:.1f} deg".format(
-        *[value / 10 for value in reply.values]
-    )
+    return _POSE.format(*[value / 10 for value in reply.values])
 
 
 def _truth(reply: Reply) -> Iterator[str]:
     # The first number is always 1. Lengths are 1/1000 in, angles 1/1000 deg, the time an unsigned word
     # in ms.
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
-    yield (
-        f"ground truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
-        f"turret {turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
-    )
+    yield (f"ground truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  turret "
+           f"{turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}")
 
 
 def _hold(reply: Reply) -> Iterator[str]:

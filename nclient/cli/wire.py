@@ -72,9 +72,8 @@ def _add_decode(verbs: Any) -> None:
     decode.add_argument("--laser-mode", type=int, metavar="N", help="laser mode in force (default: 51)")
 
 
-def _add_verb(
-    verbs: Any, name: str, execute: Callable[[argparse.Namespace], int], more: str = ""
-) -> argparse.ArgumentParser:
+def _add_verb(verbs: Any, name: str, execute: Callable[[argparse.Namespace], int],
+              more: str = "") -> argparse.ArgumentParser:
     """Add the parser of a verb, with the first line of its function's description as its help."""
     description = f"{getdoc(execute)}{more}"
     about = description.partition("\n")[0].removesuffix(".")
@@ -316,10 +315,8 @@ def build_dissector() -> str:
 
 def _tables() -> dict[str, Any]:
     """Return the constants and field lists of the Lua program by name."""
-    arguments = {
-        _argument_field(row, argument.name): f"{argument.name.replace('_', ' ')} ({row.name})"
-        for row in commands.COMMANDS for argument in row.arguments if row.name not in ("ct", "tk")
-    }
+    arguments = {_argument_field(row, argument.name): f"{argument.name.replace('_', ' ')} ({row.name})"
+                 for row in commands.COMMANDS for argument in row.arguments if row.name not in ("ct", "tk")}
     slots = {name: _label(name) for name in _SLOTS}
     stamps = {f"position.{name}": _label(name) for name in _STAMP_PARTS}
     return {

@@ -116,10 +116,8 @@ def whole_number(what: str, low: int, high: int = sys.maxsize) -> Callable[[str]
     return parse
 
 
-def add_value(
-    parser: argparse._ActionsContainer, names: str, metavar: str, parse: Callable[[str], object], about: str,
-    default: object = None,
-) -> None:  # fmt: skip
+def add_value(parser: argparse._ActionsContainer, names: str, metavar: str, parse: Callable[[str], object], about: str,
+              default: object = None) -> None:
     """Add an option with a value; other names of it follow after blanks.
 
     Its help ends with the default, unless there is none or `about` names it.

@@ -45,9 +45,8 @@ def read_text(path: Path, max_bytes: int, error: ErrorFactory) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
-        raise error(
-            f"{path}: expected text in UTF-8, found other bytes at {failure.start}: {failure.reason}"
-        ) from failure
+        raise error(f"{path}: expected text in UTF-8, found other bytes at {failure.start}: "
+                    f"{failure.reason}") from failure
 
 
 def parse_toml(text: str, file: str, error: ErrorFactory) -> dict[str, Any]:

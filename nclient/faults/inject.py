@@ -255,9 +255,8 @@ class Injector:
         self.line = line
         self._start_s = start_s
         self._silences: dict[faults.Direction, tuple[float, RuleState]] = {}
-        self._states = [
-            RuleState(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules if rule.acts_on(line)
-        ]
+        self._states = [RuleState(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules
+                        if rule.acts_on(line)]
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
@@ -273,9 +272,8 @@ class Injector:
         for state in self._states:
             state.tally.clear()
 
-    def process_frame(
-        self, data: bytes, command: str, direction: faults.Direction, now_s: float, nak: bytes = LINE_NAK
-    ) -> list[Delivery]:
+    def process_frame(self, data: bytes, command: str, direction: faults.Direction, now_s: float,
+                      nak: bytes = LINE_NAK) -> list[Delivery]:
         """Apply the rules to a frame.
 
         Parameters
@@ -319,10 +317,8 @@ class Injector:
                 return []
         return [Delivery(delay_s, data)]
 
-    def _apply(
-        self, data: bytes, fault: faults.Alteration | faults.Drop | faults.Blackout | faults.Nak | faults.Noise,
-        state: RuleState, now_s: float, nak: bytes,
-    ) -> bytes:  # fmt: skip
+    def _apply(self, data: bytes, fault: faults.Alteration | faults.Drop | faults.Blackout | faults.Nak | faults.Noise,
+               state: RuleState, now_s: float, nak: bytes) -> bytes:
         """Return the bytes after a fault, empty if it drops the frame."""
         match fault:
             case faults.Drop():
@@ -568,9 +564,8 @@ class FaultyStream:
         Waits a number of seconds on that clock.
     """
 
-    def __init__(
-        self, stream: ByteStream, line: FaultyLine, now: Callable[[], float], sleep: Callable[[float], None]
-    ) -> None:
+    def __init__(self, stream: ByteStream, line: FaultyLine, now: Callable[[], float],
+                 sleep: Callable[[float], None]) -> None:
         self._stream = stream
         self._line = line
         self._now = now

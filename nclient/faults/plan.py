@@ -330,10 +330,8 @@ def require_rules_for(line: str, plan: Plan) -> None:
     """Raise FaultPlanError if a plan has no rule for this line."""
     if plan.rules and not any(rule.acts_on(line) for rule in plan.rules):
         named = sorted({name for rule in plan.rules for name in rule.lines})
-        raise FaultPlanError(
-            f"rule {plan.rules[0].name!r}: line: no rule applies to {line}, only to {', '.join(named)}; "
-            f"name {line}, or leave it out"
-        )
+        raise FaultPlanError(f"rule {plan.rules[0].name!r}: line: no rule applies to {line}, only to "
+                             f"{', '.join(named)}; name {line}, or leave it out")
 
 
 def _check_agreement(rule: str, faults: tuple[Fault, ...]) -> None:
@@ -364,10 +362,8 @@ def _check_line(rule: str, line: str) -> None:
     kind, colon, number = line.partition(":")
     if kind not in LINE_KINDS or (colon and not (number.isascii() and number.isdecimal())):
         choices = ", ".join(LINE_KINDS)
-        raise FaultPlanError(
-            f"rule {rule!r}: line: no line {line!r}; a line is one of {choices}, alone or with the number of a robot, "
-            f"such as serial:1{suggest(kind, LINE_KINDS)}"
-        )
+        raise FaultPlanError(f"rule {rule!r}: line: no line {line!r}; a line is one of {choices}, alone or with the "
+                             f"number of a robot, such as serial:1{suggest(kind, LINE_KINDS)}")
 
 
 MAX_BYTES: Final = 1 << 20
@@ -509,12 +505,8 @@ def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:
     """Yield the keys of a rule whose values differ from their defaults."""
     yield "name", rule.name
     yield "do", [fault.kind for fault in rule.faults]
-    settings = {
-        entry.name: getattr(value, entry.name)
-        for value in (*rule.faults, rule.when)
-        for entry in dataclasses.fields(value)
-        if getattr(value, entry.name) != entry.default
-    }
+    settings = {entry.name: getattr(value, entry.name) for value in (*rule.faults, rule.when)
+                for entry in dataclasses.fields(value) if getattr(value, entry.name) != entry.default}
     yield from settings.items()
     yield from ((key, list(names)) for key, names in (("command", rule.commands), ("line", rule.lines)) if names)
     yield "direction", next(word for word, directions in _DIRECTIONS.items() if directions == rule.directions)

@@ -225,10 +225,8 @@ def _narrow(payload: bytes, reply: bool) -> bytes:
 MAX_BYTE = 255
 # Serial numbers are sign-magnitude, so that a signed one ends at -0x7FFF.
 _SIGNED, _UNSIGNED, _BYTE = (-0x7FFF, 0x7FFF), (0, 0xFFFF), (0, MAX_BYTE)
-_RANGES = (
-    (layouts.LINE_SIGNED, _SIGNED), (layouts.LINE_UNSIGNED, _UNSIGNED),
-    (layouts.LINE_BYTE, _BYTE), (layouts.HISTORY_BYTE, _BYTE), (layouts.LASER_MODE_BYTE, _BYTE),
-)  # fmt: skip
+_RANGES = ((layouts.LINE_SIGNED, _SIGNED), (layouts.LINE_UNSIGNED, _UNSIGNED), (layouts.LINE_BYTE, _BYTE),
+           (layouts.HISTORY_BYTE, _BYTE), (layouts.LASER_MODE_BYTE, _BYTE))
 # Range of an argument that has another form on the serial line, such as the flags of ws.
 _FREE = (-(1 << 31), (1 << 31) - 1)
 _NOT_NEGATIVE = (0, _FREE[1])
@@ -260,19 +258,16 @@ def clamp_to_serial(call: commands.Call) -> commands.Call:
     bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:
         return call
-    return commands.Call(call.name, tuple(
-        min(max(value, least), most) for value, (_, least, most) in zip(call.args, bounds, strict=True)
-    ))
+    return commands.Call(call.name, tuple(min(max(value, least), most)
+                                          for value, (_, least, most) in zip(call.args, bounds, strict=True)))
 
 
 def describe_serial_overflow(call: commands.Call) -> str:
     """Return an error text for the first argument out of its serial range; "" if all are in range."""
     for value, (name, least, most) in zip(call.args, serial_argument_bounds(call.name), strict=False):
         if isinstance(value, int) and not least <= value <= most:
-            return (
-                f"{call.name}: {name} is {value}, and a robot's own line carries {least} to {most} "
-                "(lengths in 1/10 inch, angles in 1/10 degree); stay within that, in several steps if need be"
-            )
+            return (f"{call.name}: {name} is {value}, and a robot's own line carries {least} to {most} (lengths in "
+                    "1/10 inch, angles in 1/10 degree); stay within that, in several steps if need be")
     return ""
 
 

@@ -77,10 +77,8 @@ class Command:
     """True if the number of arguments varies."""
 
 
-def _row(
-    name: str, method: str, types: tuple[int | None, int | None], arguments: Iterable[Argument],
-    reply: tuple[TcpLayout, LineLayout], summary: str, **special: Any
-) -> Command:  # fmt: skip
+def _row(name: str, method: str, types: tuple[int | None, int | None], arguments: Iterable[Argument],
+         reply: tuple[TcpLayout, LineLayout], summary: str, **special: Any) -> Command:
     arguments = tuple(arguments)
     count = len(arguments)
     are_flags = [argument.is_flag for argument in arguments]
@@ -89,10 +87,8 @@ def _row(
         "line_request": layouts.Fields(*[a.name / a.line for a in arguments]), "line_models": ALL,
         "line_timeout_s": 1.0, "extra_arguments": None, "packet_type": None, "has_tcp_reply": True, "any_length": False,
     }  # fmt: skip
-    return Command(
-        name, method, summary, arguments, types[0],
-        tcp_reply=reply[0], line_type=types[1], line_reply=reply[1], **(fields | special)
-    )
+    return Command(name, method, summary, arguments, types[0], tcp_reply=reply[0], line_type=types[1],
+                   line_reply=reply[1], **(fields | special))
 
 
 def _signed(*names: str) -> tuple[Argument, ...]:
@@ -109,11 +105,8 @@ def _bytes(*names: str) -> tuple[Argument, ...]:
 
 _AXES = _signed("translation", "steering", "turret")
 _ORDER = _bytes(*[f"order_{k}" for k in range(16)])
-_MODES = [
-    argument
-    for axis in ("translation", "steering", "turret")
-    for argument in (Argument(f"{axis}_mode", line=LINE_UNSIGNED), Argument(f"{axis}_value"))
-]
+_MODES = [argument for axis in ("translation", "steering", "turret")
+          for argument in (Argument(f"{axis}_mode", line=LINE_UNSIGNED), Argument(f"{axis}_value"))]
 _FLAGS = tuple(Argument(name, layouts.FLAG_BYTE) for name in ("translation", "steering", "turret"))
 _POSE = _signed("x", "y", "steering", "turret")
 _SMASK = _signed(*[f"Smask_{k}" for k in range(44)])
@@ -125,15 +118,11 @@ _OBSTACLE_WORDS = (3, 1 + 2 * layouts.MAX_OBSTACLE_VERTICES)
 _PACKET = layouts.UserPacket()
 
 
-def _arm(
-    name: str, method: str, packet: layouts.ArmPacket, packet_type: int, arguments: tuple[str, ...], summary: str
-) -> Command:
+def _arm(name: str, method: str, packet: layouts.ArmPacket, packet_type: int, arguments: tuple[str, ...],
+         summary: str) -> Command:
     size = packet.octets
-    return _row(
-        name, method, (300, 128), _signed(*arguments), _SPECIAL, summary,
-        tcp_request=layouts.ByteWords(packet), tcp_words=(size, size), line_request=packet,
-        line_timeout_s=30.0, packet_type=packet_type,
-    )
+    return _row(name, method, (300, 128), _signed(*arguments), _SPECIAL, summary, tcp_request=layouts.ByteWords(packet),
+                tcp_words=(size, size), line_request=packet, line_timeout_s=30.0, packet_type=packet_type)
 
 
 def _drawing(name: str, tcp_type: int, what: str) -> Command:

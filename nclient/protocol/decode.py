@@ -250,9 +250,8 @@ class _LineEnds:
         self._handshake_allowed = model.sends_mask
 
     def call(self, data: bytes) -> Call:
-        return codec.decode_serial_request(
-            serial_framing.parse_single_frame(data, serial_framing.HOST_LIMIT), self.wire_state
-        )
+        return codec.decode_serial_request(serial_framing.parse_single_frame(data, serial_framing.HOST_LIMIT),
+                                           self.wire_state)
 
     def expect(self, row: Command) -> None:
         self._request = row

@@ -29,27 +29,8 @@ from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from typing import Any, Final, Literal, Protocol
 
-from construct import (
-    Adapter,
-    Const,
-    Construct,
-    Default,
-    ExprAdapter,
-    FormatFieldError,
-    GreedyBytes,
-    Int8ub,
-    Int16ul,
-    Int32sl,
-    Int32ul,
-    NullTerminated,
-    Rebuild,
-    StreamError,
-    Struct,
-    Terminated,
-    len_,
-    this,
-)
-from construct import Sequence as FieldSequence
+import construct
+from construct import Adapter, Construct, ExprAdapter, FormatFieldError, GreedyBytes, Int16ul, Int32sl, Int32ul
 
 from nclient.errors import WireError
 from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Position, Stamp, WireState, mask_from_line, mask_from_tcp
@@ -76,23 +57,22 @@ def take(stream: Any, count: int, path: str) -> bytes:
     """Read `count` bytes; StreamError if there are fewer."""
     data: bytes = stream.read(count)
     if len(data) != count:
-        raise StreamError(f"{count} bytes wanted, {len(data)} there", path=path)
+        raise construct.StreamError(f"{count} bytes wanted, {len(data)} there", path=path)
     return data
 
 
 def checked_readings(count: int, path: str) -> int:
     """Return a count of laser readings; StreamError if it is out of range."""
     if not 0 <= count <= MAX_LASER_READINGS:
-        raise StreamError(f"a laser sends 0..{MAX_LASER_READINGS} readings, not {count}", path=path)
+        raise construct.StreamError(f"a laser sends 0..{MAX_LASER_READINGS} readings, not {count}", path=path)
     return count
 
 
 def check_laser(laser: Sequence[int], width: int, path: str) -> None:
     """Raise FormatFieldError if a laser vector's length does not match its count."""
     if len(laser) != 1 + width * checked_readings(laser[0], path):
-        raise FormatFieldError(
-            f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
-            f"not {len(laser) - 1}", path=path)
+        raise FormatFieldError(f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
+                               f"not {len(laser) - 1}", path=path)
 
 
 class Run:
@@ -144,7 +124,7 @@ SIGNED_LONGS: Final = Run("I", signed=True)
 
 
 # Single fields of the serial line, low byte first; clocks are unsigned ms.
-LINE_BYTE = Int8ub
+LINE_BYTE = construct.Int8ub
 LINE_UNSIGNED = Int16ul
 LINE_CLOCK = Int32ul
 
@@ -409,7 +389,7 @@ class Fields(Adapter):
     """Fields one after another, and nothing behind them."""
 
     def __init__(self, *fields: Construct) -> None:
-        super().__init__(FieldSequence(*fields, Terminated))
+        super().__init__(construct.Sequence(*fields, construct.Terminated))
 
     def _decode(self, obj: Sequence[Any], context: Any, path: str) -> tuple[Any, ...]:
         return tuple(obj[:-1])
@@ -492,7 +472,7 @@ class LineText(Adapter):
     """Request data of tk on the serial line: the characters and a NUL."""
 
     def __init__(self) -> None:
-        super().__init__(NullTerminated(GreedyBytes))
+        super().__init__(construct.NullTerminated(GreedyBytes))
 
     def _decode(self, obj: bytes, context: Any, path: str) -> tuple[str]:
         return (obj.decode("latin-1"),)
@@ -544,10 +524,8 @@ class MotionWords:
         count = self._COUNTS[kind]
         if len(args) != 1 + count:
             raise WireError(f"motion_check {kind} takes {count} numbers after the type")
-        words = [
-            int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
-            for k, v in enumerate(args[1:])
-        ]
+        words = [int(round(v * 1000, _ROUNDING_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
+                 for k, v in enumerate(args[1:])]
         return (kind, *words, *[0] * (7 - count))
 
     @staticmethod
@@ -565,9 +543,9 @@ class UserPacket(Adapter):
 
     def __init__(self) -> None:
         super().__init__(
-            Struct(
-                "length" / Rebuild(Int16ul, len_(this.data) + 4),
-                "serial" / Default(LINE_BYTE, 0),
+            construct.Struct(
+                "length" / construct.Rebuild(Int16ul, construct.len_(construct.this.data) + 4),
+                "serial" / construct.Default(LINE_BYTE, 0),
                 "packet_type" / LINE_BYTE,
                 "data" / GreedyBytes,
             )
@@ -590,7 +568,7 @@ class ArmPacket(Adapter):
 
     def __init__(self, packet_type: int, *elements: Construct) -> None:
         size = 4 + sum(element.sizeof() for element in elements)
-        head = (Const(size, Int16ul), LINE_BYTE, Const(packet_type, LINE_BYTE))
+        head = (construct.Const(size, Int16ul), LINE_BYTE, construct.Const(packet_type, LINE_BYTE))
         super().__init__(Fields(*head, *elements))
         self.elements = elements
         self.octets = size

@@ -201,10 +201,8 @@ def summarize_error(error: Exception) -> str:
 
 # Layouts over TCP (docs/protocol.md). A state reply is the State vector of 45 words, the laser block, stamps for
 # the bits in Smask[0], clock in ms, CPU and motor voltage bytes.
-STATE = TcpLayout(
-    "state", slots=range(LAST_TCP_SLOT + 1), laser_width=attrgetter("laser_width"), stamps=tuple(Position),
-    has_clock=True, has_volts=True,
-)  # fmt: skip
+STATE = TcpLayout("state", slots=range(LAST_TCP_SLOT + 1), laser_width=attrgetter("laser_width"),
+                  stamps=tuple(Position), has_clock=True, has_volts=True)
 # get_ir, get_sn: 16 values, stamps, clock. get_bp, get_cp: one value, stamp, clock.
 INFRARED = TcpLayout("infrared", slots=range(1, 17), stamps=(Position.INFRARED,), has_clock=True)
 SONAR = TcpLayout("sonar", slots=range(17, 33), stamps=(Position.SONAR,), has_clock=True)
@@ -255,9 +253,8 @@ def _line_query(kind: str, position: Position, **readings: Construct) -> LineLay
 LINE_INFRARED = _line_query("infrared", Position.INFRARED, slots=layouts.LineNibbles(1, 16, masked=False))
 LINE_SONAR = _line_query("sonar", Position.SONAR, slots=layouts.LineSlots(17, 32, layouts.BYTES, masked=False))
 LINE_BUMPER = _line_query("bumper", Position.BUMPER, slots=layouts.BumperBytes(BUMPER_SLOT, masked=False))
-LINE_COMPASS = _line_query(
-    "compass", Position.COMPASS, slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False)
-)
+LINE_COMPASS = _line_query("compass", Position.COMPASS,
+                           slots=layouts.LineSlots(COMPASS_SLOT, COMPASS_SLOT, layouts.SHORTS, masked=False))
 LINE_LASER = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: types.PIXELS))
 LINE_SEGMENTS = _line_query("laser", Position.LASER, laser=layouts.LineLaser(lambda _: LINES))
 LINE_CONFIGURATION = LineLayout("configuration", slots=layouts.LineSlots(34, 37, layouts.SIGNED_SHORTS, masked=False))

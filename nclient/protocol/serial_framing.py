@@ -64,13 +64,8 @@ def parse_single_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
 def _is_frame(data: bytes, limit: int) -> bool:
     """Return True if these bytes are exactly one valid frame."""
     size = len(data)
-    return (
-        _OVERHEAD + _MIN_LENGTH <= size <= limit
-        and data[0] == START
-        and data[1] | data[2] << 8 == size - _OVERHEAD
-        and data[-1] == END
-        and sum(data[:-2]) & 255 == data[-2]
-    )
+    return (_OVERHEAD + _MIN_LENGTH <= size <= limit and data[0] == START and data[1] | data[2] << 8 == size - _OVERHEAD
+            and data[-1] == END and sum(data[:-2]) & 255 == data[-2])
 
 
 class SerialFramer:

@@ -360,10 +360,8 @@ def _read_text(path: Path) -> str:
 
 _M_PER: Final = {"in": M_PER_IN, "mm": 0.001, "cm": 0.01, "m": 1.0}
 _RAD_PER: Final = {"deg": math.radians(1.0), "rad": 1.0}
-_UNITS: Final = {
-    "time": {"s": 1.0, "ms": 0.001}, "x": _M_PER, "y": _M_PER, "heading": _RAD_PER, "turret": _RAD_PER, SONAR: _M_PER,
-    "speed_in": {"s": M_PER_IN}, "turn_deg": {"s": math.radians(1.0)}, "bumpers": {"": 1.0},
-}
+_UNITS: Final = {"time": {"s": 1.0, "ms": 0.001}, "x": _M_PER, "y": _M_PER, "heading": _RAD_PER, "turret": _RAD_PER,
+                 SONAR: _M_PER, "speed_in": {"s": M_PER_IN}, "turn_deg": {"s": math.radians(1.0)}, "bumpers": {"": 1.0}}
 
 
 def csv_lines(drive: Drive) -> Iterator[str]:

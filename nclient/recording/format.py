@@ -252,9 +252,8 @@ def _entry(line: str, number: int, name: str) -> Entry:
     try:
         return _read_entry(json.loads(line), number)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-        raise RecordingError(
-            f"{name}, line {number}: no entry of a recording ({type(error).__name__}: {error}); mend it or take it out"
-        ) from None
+        raise RecordingError(f"{name}, line {number}: no entry of a recording ({type(error).__name__}: {error}); mend "
+                             "it or take it out") from None
 
 
 def _read_entry(whole: dict[str, Any], number: int) -> Entry:

@@ -67,12 +67,8 @@ class TcpFrameTap:
         return self._frames(self._replies.receive(data), reply=True)
 
     def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
-        return [
-            Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
-            if isinstance(item, TcpFrame)
-            else Frame(b"", item.reason)
-            for item in items
-        ]
+        return [Frame(codec.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
+                if isinstance(item, TcpFrame) else Frame(b"", item.reason) for item in items]
 
 
 class SerialFrameTap:
@@ -233,10 +229,8 @@ class Recorder:
         Returns the time from which a server takes the age of an incomplete serial frame, recorded as `at`.
     """
 
-    def __init__(
-        self, log: RecordingWriter, clock: Callable[[], float] | None = None,
-        line_clock: Callable[[], float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, log: RecordingWriter, clock: Callable[[], float] | None = None,
+                 line_clock: Callable[[], float] | None = None) -> None:
         self._log = log
         self._clock = clock
         self.line_clock = line_clock
@@ -280,10 +274,8 @@ class Recorder:
         """Record a change of the simulation that no request caused."""
         self.write(TIME, "", 0.0, more=dict(what))
 
-    def write(
-        self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
-        decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None,
-    ) -> None:  # fmt: skip
+    def write(self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
+              decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None) -> None:
         """Write an entry, with the time steps before it."""
         # A given clock, such as that of a simulation, replaces the robot's.
         now_s = round(robots_clock_s if self._clock is None else self._clock(), _DIGITS)
@@ -370,9 +362,8 @@ class RecordingStream:
         Called once the end is recorded.
     """
 
-    def __init__(
-        self, stream: ByteStream, recorder: ConnectionRecorder, on_close: Callable[[], None] = lambda: None
-    ) -> None:
+    def __init__(self, stream: ByteStream, recorder: ConnectionRecorder,
+                 on_close: Callable[[], None] = lambda: None) -> None:
         self._stream = stream
         self._recorder = recorder
         self._on_close = on_close
@@ -423,10 +414,8 @@ class ClientRecording:
         If the file cannot be created.
     """
 
-    def __init__(
-        self, path: Path, address: str, line: str, model: Model, clock: Callable[[], float] | None = None,
-        started: datetime | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, path: Path, address: str, line: str, model: Model, clock: Callable[[], float] | None = None,
+                 started: datetime | None = None) -> None:
         header = {
             "package": version(),
             "started": started and started.isoformat(timespec="seconds"),

@@ -302,10 +302,8 @@ class Player:
             return RecordingError(
                 f"{name}: {request} does not come again from line {expected.line} on; record a run that sends it"
             )
-        return RecordingError(
-            f"{name}, line {expected.line}: recorded was {expected.request}, the program sends {request}; "
-            f"order={LOOSE} replies as to the next equal request, or record the run again"
-        )
+        return RecordingError(f"{name}, line {expected.line}: recorded was {expected.request}, the program sends "
+                              f"{request}; order={LOOSE} replies as to the next equal request, or record the run again")
 
     def _expected(self) -> RecordedExchange | None:
         """Return the next exchange that must come, or the first optional one if no others are left."""

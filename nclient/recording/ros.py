@@ -131,9 +131,7 @@ def _messages(drive: Drive) -> Iterator[Message]:
         yield from sample_messages(sample, drive.directions_rad, start_ns, ring_m)
 
 
-def sample_messages(
-    sample: Sample, directions: Sequence[float], start_ns: int, ring_m: float
-) -> Iterator[Message]:
+def sample_messages(sample: Sample, directions: Sequence[float], start_ns: int, ring_m: float) -> Iterator[Message]:
     """Yield the messages of one sample."""
     time_ns = start_ns + round(sample.time_s * 1e9)
     at = sample.x_m, sample.y_m, sample.heading_rad

@@ -54,10 +54,8 @@ def range_m(reading_m: float, min_m: float = LIMITS_M[0]) -> float:
     return reading_m if reading_m > min_m else -math.inf
 
 
-def scan(
-    time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float,
-    limits_m: tuple[float, float] = LIMITS_M,
-) -> Message:  # fmt: skip
+def scan(time_ns: int, robot: str, ranges_m: Sequence[float], directions_rad: Sequence[float], ring_m: float,
+         limits_m: tuple[float, float] = LIMITS_M) -> Message:
     """Return sonars as LaserScan, which has room for readings at equal angles only.
 
     Parameters
@@ -79,9 +77,8 @@ def scan(
             "ranges": [one + ring_m for one in ranges_m], "intensities": []}  # fmt: skip
 
 
-def sonar_range(
-    time_ns: int, robot: str, sonar: int, reading_m: float, limits_m: tuple[float, float], cone_rad: float
-) -> Message:
+def sonar_range(time_ns: int, robot: str, sonar: int, reading_m: float, limits_m: tuple[float, float],
+                cone_rad: float) -> Message:
     """Return a sonar's reading as Range, in the sonar's own frame."""
     return {
         "header": header(time_ns, f"{robot}/sonar_{sonar}"), "radiation_type": _ULTRASOUND, "field_of_view": cone_rad,
@@ -151,10 +148,8 @@ class MessageBuilder:
     array_of : returns the array for a list of numbers and the name of their type; None leaves lists.
     """
 
-    def __init__(
-        self, store: Typestore, class_of: Callable[[str], Callable[..., Any]],
-        array_of: Callable[[Sequence[Any], str], Any] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, store: Typestore, class_of: Callable[[str], Callable[..., Any]],
+                 array_of: Callable[[Sequence[Any], str], Any] | None = None) -> None:
         from rosbags.interfaces import Nodetype  # here: the extra ros2; the messages above need none
 
         self._kinds: Any = Nodetype

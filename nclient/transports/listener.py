@@ -174,9 +174,8 @@ class AcceptQueue:
         Called with the address of each rejected client, and the reason.
     """
 
-    def __init__(
-        self, listening: socket.socket, refusal: Callable[[str, str], str], on_rejected: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, listening: socket.socket, refusal: Callable[[str, str], str],
+                 on_rejected: Callable[[str, str], None]) -> None:
         self._listening = listening
         self._refusal, self._on_rejected = refusal, on_rejected
         self._pending: list[PendingConnection] = []
@@ -264,10 +263,8 @@ class TcpListener:
         If the port is not available.
     """
 
-    def __init__(
-        self, host: str, port: int, refusal: Callable[[str, str], str] = lambda _, __: "",
-        on_rejected: Callable[[str, str], None] = lambda _, __: None,
-    ) -> None:  # fmt: skip
+    def __init__(self, host: str, port: int, refusal: Callable[[str, str], str] = lambda _, __: "",
+                 on_rejected: Callable[[str, str], None] = lambda _, __: None) -> None:
         try:
             # The backlog of the kernel is as long as the queue.
             family = socket.AF_INET6 if ":" in host else socket.AF_INET

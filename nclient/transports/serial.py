@@ -152,11 +152,13 @@ class PortableSerialStream:
         # pyserial has no lock for ports of other machines; rfc2217 has the write timeout of its socket, 5 s.
         more: dict[str, Any] = {} if port.startswith("rfc2217:") else {"write_timeout": WRITE_TIMEOUT_S}
         more |= {} if "://" in port else {"exclusive": True}
+        # Without waiting for answers about flow control, which ser2net leaves out.
+        url = f"{port}?ign_set_control" if port.startswith("rfc2217:") else port
         try:
             with warnings.catch_warnings():
                 # pyserial's rfc2217 calls Thread.setDaemon.
                 warnings.simplefilter("ignore", DeprecationWarning)
-                self._port = serial.serial_for_url(_pyserial_url(port), baud, timeout=_READ_SLICE_S, **more)
+                self._port = serial.serial_for_url(url, baud, timeout=_READ_SLICE_S, **more)
         except _OPEN_ERRORS as error:
             raise ConnectionLost(_remedy(port, baud, error)) from error
         self._writing, self._arrived = threading.Lock(), threading.Condition()
@@ -242,11 +244,6 @@ def _closed_here(port: str) -> ConnectionLost:
 def open_port(port: str, baud: int = DEFAULT_BAUD) -> ByteStream:
     """Open a port by its name or a URL of pyserial. Raises ConnectionLost as the streams do."""
     return PortableSerialStream(port, baud) if needs_portable(port) else SerialStream(port, baud)
-
-
-def _pyserial_url(port: str) -> str:
-    """Return the name that pyserial opens: without waiting for answers about flow control, which ser2net leaves out."""
-    return f"{port}?ign_set_control" if port.startswith("rfc2217:") else port
 
 
 def needs_portable(port: str) -> bool:

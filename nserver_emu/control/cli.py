@@ -86,11 +86,9 @@ def _status(result: dict[str, Any]) -> Iterator[str]:
     yield _time(result)
     for robot in result["robots"]:
         touched = f", bumpers {robot['bumpers']:#x}" if robot["bumpers"] else ""
-        yield (
-            f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
-            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
-            f"{_noise(robot['noise'])}{_held(robot['held'])}"
-        )
+        yield (f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
+               f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
+               f"{_noise(robot['noise'])}{_held(robot['held'])}")
     for name, place in result["lines"].items():
         yield f"line {name}: {place}"
     for client in result["connections"]:
@@ -184,10 +182,8 @@ def request(path: Path, name: str, argument: object = None) -> dict[str, Any]:
             f"the nserver at {path} did not answer in {timeout_s:g} s: it hangs, or its process is stopped"
         ) from None
     except OSError as error:
-        raise ConnectionLost(
-            f"no nserver answers at {path} ({error.strerror or error}); start it with nserver --control, "
-            "or give its socket: nserver ctl --control PATH"
-        ) from error
+        raise ConnectionLost(f"no nserver answers at {path} ({error.strerror or error}); start it with nserver "
+                             "--control, or give its socket: nserver ctl --control PATH") from error
     return parse_response(response)
 
 
@@ -295,7 +291,5 @@ def _about(group: str) -> str:
 
 def _add_argument(command: argparse.ArgumentParser, row: ControlCommand) -> None:
     if row.argument:
-        command.add_argument(
-            "argument", metavar=row.argument, nargs="*" if row.argument == WORDS else None,
-            choices=_CHOICES.get(row.name), type=Path if row.argument in _FILES else str,
-        )  # fmt: skip
+        command.add_argument("argument", metavar=row.argument, nargs="*" if row.argument == WORDS else None,
+                             choices=_CHOICES.get(row.name), type=Path if row.argument in _FILES else str)

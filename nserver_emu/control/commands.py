@@ -301,9 +301,8 @@ def _world_text(argument: object) -> tuple[str, str]:
     return _text(argument.get("text"), usage), _text(argument.get("file", "world.toml"), usage)
 
 
-def _change_of(
-    kind: str, usage: str, words: Callable[[str], JsonObject] | None = None
-) -> Callable[[Daemon, object], JsonObject]:
+def _change_of(kind: str, usage: str,
+               words: Callable[[str], JsonObject] | None = None) -> Callable[[Daemon, object], JsonObject]:
     """Return the command that makes and records a change, given as JSON or, where `words` parses them, in words."""
 
     def run(server: Daemon, argument: object) -> JsonObject:

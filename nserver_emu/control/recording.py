@@ -91,10 +91,8 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace, 
         _check_beside(parser, options, words, "restore", "snapshot", DECIDED)
 
 
-def _check_beside(
-    parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str, file: str,
-    decided: Iterable[str],
-) -> None:  # fmt: skip
+def _check_beside(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str,
+                  file: str, decided: Iterable[str]) -> None:
     # Options, worlds and old setup files that the file decides.
     conflicts = _as_written(given_options(parser, words, decided))
     if len(options.files) > len(options.setups):
@@ -412,10 +410,8 @@ def _create_replayer(recording: Recording) -> _ServerReplayer | _InProcessReplay
     address = str(header.get("address", ""))
     if address.startswith(f"{SCHEME}:"):
         return _InProcessReplayer(open_address(address))
-    raise RecordingError(
-        f"{recording.name}: recorded at {address or 'an unknown address'}, which no emulator can repeat; use "
-        f"`nomad play` to send the recorded replies"
-    )
+    raise RecordingError(f"{recording.name}: recorded at {address or 'an unknown address'}, which no emulator can "
+                         "repeat; use `nomad play` to send the recorded replies")
 
 
 class _ServerReplayer:
@@ -555,10 +551,8 @@ def _host(name: str) -> str:
 def _difference(recording: Recording, entry: Entry, reply: bytes) -> str:
     at = next((k for k, (a, b) in enumerate(zip(reply, entry.data, strict=False)) if a != b),
               min(len(reply), len(entry.data)))  # fmt: skip
-    return (
-        f"{recording.name}, line {entry.line}: from byte {at} on {_hex(reply, at)} instead of {_hex(entry.data, at)} "
-        f"({len(reply)} and {len(entry.data)} bytes)"
-    )
+    return (f"{recording.name}, line {entry.line}: from byte {at} on {_hex(reply, at)} instead of "
+            f"{_hex(entry.data, at)} ({len(reply)} and {len(entry.data)} bytes)")
 
 
 def _hex(data: bytes, at: int) -> str:

@@ -69,9 +69,8 @@ _ORDER_OF_SONARS: Final = SonarState._fields.index("firing")
 _HEAD: Final = 100
 """Characters within which a snapshot names its format."""
 
-_DAMAGED: Final = (
-    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RecursionError, MemoryError,
-)  # fmt: skip
+_DAMAGED: Final = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RecursionError,
+                   MemoryError)
 """Errors that damaged data causes while it is read and tried."""
 
 Decoder = Callable[[Any], Any]
@@ -91,10 +90,9 @@ class SnapshotState:
     @classmethod
     def of(cls, emulator: Emulator) -> SnapshotState:
         """Return the state of an emulator."""
-        return cls(
-            emulator.simulation.to_state(), emulator.clock, emulator.graphics.to_state(), emulator.traces.to_state(),
-            tuple(emulator.transcript), {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()},
-        )  # fmt: skip
+        return cls(emulator.simulation.to_state(), emulator.clock, emulator.graphics.to_state(),
+                   emulator.traces.to_state(), tuple(emulator.transcript),
+                   {robot_id: arm.to_state() for robot_id, arm in emulator.arms.items()})
 
     def restore(self, emulator: Emulator) -> None:
         """Replace the state of an emulator; raise ValueError, and leave it unchanged, if this one cannot be."""

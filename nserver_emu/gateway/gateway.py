@@ -139,11 +139,8 @@ class ShadowReport:
 
     def summary(self) -> str:
         """Return one line: mean and standard deviation of the main quantities, and the number of one-sided echoes."""
-        parts = [
-            f"{name} {found.mean:+.2f} ± {found.std:.2f}"
-            for name, found in self.quantities.items()
-            if name in ("x_in", "y_in", "steering_deg", ALL_SONARS)
-        ]
+        parts = [f"{name} {found.mean:+.2f} ± {found.std:.2f}" for name, found in self.quantities.items()
+                 if name in ("x_in", "y_in", "steering_deg", ALL_SONARS)]
         one_sided = self.quantities[ALL_SONARS].one_sided
         return f"{self.states} states: {', '.join(parts)}; {one_sided} echoes measured by one alone"
 
@@ -338,10 +335,8 @@ class RealRobotProxy:
     feed_s : longest time without a request to an owned robot, in seconds.
     """
 
-    def __init__(
-        self, open_backend: Callable[[], Backend], clock: Callable[[], float], *, read_only: bool = False,
-        feed_s: float = TIMEOUT_S / 3,
-    ) -> None:  # fmt: skip
+    def __init__(self, open_backend: Callable[[], Backend], clock: Callable[[], float], *, read_only: bool = False,
+                 feed_s: float = TIMEOUT_S / 3) -> None:
         self.ownership = Ownership(read_only=read_only)
         self.active = True
         """True while connections drive this robot, False while they drive the simulated one."""
@@ -562,10 +557,8 @@ class Gateway:
         If a simulated robot is of another model than its real counterpart.
     """
 
-    def __init__(
-        self, emulator: Emulator, proxies: Mapping[int, RealRobotProxy], *, shadow: bool = False,
-        wrap: WrapBackend = lambda backend: backend,
-    ) -> None:  # fmt: skip
+    def __init__(self, emulator: Emulator, proxies: Mapping[int, RealRobotProxy], *, shadow: bool = False,
+                 wrap: WrapBackend = lambda backend: backend) -> None:
         self.proxies = proxies
         self._emulator = emulator
         for robot_id, proxy in proxies.items():

@@ -345,9 +345,8 @@ class RobotWorker:
         If the robot does not answer. Other errors are those of `open_backend`.
     """
 
-    def __init__(
-        self, open_backend: Callable[[], Backend], opening_calls: OpeningCalls = lambda _link, _reconnected: ()
-    ) -> None:
+    def __init__(self, open_backend: Callable[[], Backend],
+                 opening_calls: OpeningCalls = lambda _link, _reconnected: ()) -> None:
         self.opening_calls = opening_calls
         self.on_result: Callable[[], None] = lambda: None
         """Called by the worker thread after each result."""

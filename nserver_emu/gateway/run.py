@@ -70,16 +70,13 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         if options.lockstep is not None:
             parser.error("a real robot does not wait for clients: --lockstep and --real do not go together")
         if options.record is not None:
-            parser.error(
-                "what a real robot answers cannot be computed again: record its line instead, with "
-                "record=FILE in the address of --real"
-            )
+            parser.error("what a real robot answers cannot be computed again: record its line instead, with "
+                         "record=FILE in the address of --real")
 
 
 @contextlib.contextmanager
-def connected(
-    options: argparse.Namespace, faults: FaultController | None = None
-) -> Iterator[dict[int, RealRobotProxy]]:
+def connected(options: argparse.Namespace,
+              faults: FaultController | None = None) -> Iterator[dict[int, RealRobotProxy]]:
     """Connect to the robot of --real; at the end stop it, disconnect, and write the shadow's report.
 
     Parameters

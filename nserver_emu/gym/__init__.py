@@ -51,7 +51,5 @@ for _name, _entry_point, _vector_entry_point, _steps in (
     ("Explore", "nserver_emu.gym.environments:explore", "nserver_emu.gym.environments:explore_vector", 1500),
     ("Localize", "localization.gym:localize", None, 300),
 ):
-    gymnasium.register(
-        id=f"Nomad/{_name}-v0", entry_point=_entry_point, vector_entry_point=_vector_entry_point,
-        max_episode_steps=_steps,
-    )  # fmt: skip
+    gymnasium.register(id=f"Nomad/{_name}-v0", entry_point=_entry_point, vector_entry_point=_vector_entry_point,
+                       max_episode_steps=_steps)

@@ -92,11 +92,9 @@ class RobotVectorEnv(VectorEnv[Observation, Action, npt.NDArray[Any]]):
         Fields of `RunnerOptions`, but no address.
     """
 
-    def __init__(
-        self, num_envs: int, task: Task, *, max_episode_steps: int | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
-        threads: int | None = None, **options: Any
-    ) -> None:  # fmt: skip
+    def __init__(self, num_envs: int, task: Task, *, max_episode_steps: int | None = None,
+                 autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, render_mode: str | None = None,
+                 threads: int | None = None, **options: Any) -> None:
         self._autoreset_mode = AutoresetMode(autoreset_mode)
         if self._autoreset_mode is AutoresetMode.SAME_STEP:
             raise ValueError("expected the autoreset mode NextStep or Disabled, got SameStep")
@@ -232,9 +230,8 @@ class Episode(NamedTuple):
     poses_m: npt.NDArray[np.float64]
 
 
-def run_episode(
-    env: gymnasium.Env[Any, Any], policy: Policy, seed: int | None = None, options: dict[str, Any] | None = None
-) -> Episode:
+def run_episode(env: gymnasium.Env[Any, Any], policy: Policy, seed: int | None = None,
+                options: dict[str, Any] | None = None) -> Episode:
     """Drive an episode of an environment with a policy to its end."""
     observation, info = env.reset(seed=seed, options=options)
     poses, total = [info["pose_m"]], 0.0

@@ -13,6 +13,9 @@ from pettingzoo import ParallelEnv
 from nserver_emu.gym.tasks import RENDER_FPS, GoTo, Observation, RunnerOptions, Task, TaskRunner
 
 Action = npt.NDArray[np.float32]
+Observations = dict[str, Observation]
+Flags = dict[str, bool]
+Infos = dict[str, dict[str, Any]]
 
 
 class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
@@ -34,15 +37,12 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         Fields of `RunnerOptions`, but no address.
     """
 
-    def __init__(
-        self, robots: int = 4, task: Task | None = None, *, max_steps: int = 300, render_mode: str | None = None,
-        world: Any = "arena", **options: Any
-    ) -> None:  # fmt: skip
+    def __init__(self, robots: int = 4, task: Task | None = None, *, max_steps: int = 300,
+                 render_mode: str | None = None, world: Any = "arena", **options: Any) -> None:
         if options.get("address") is not None:
             raise ValueError("several robots are not connected to: use an environment for each address")
-        self.metadata = {
-            "name": "nomad_v0", "render_modes": ["rgb_array"], "render_fps": RENDER_FPS, "is_parallelizable": True,
-        }  # fmt: skip
+        self.metadata = {"name": "nomad_v0", "render_modes": ["rgb_array"], "render_fps": RENDER_FPS,
+                         "is_parallelizable": True}
         self.runner = TaskRunner(task or GoTo(), RunnerOptions(world=world, **options), robots)
         self.render_mode, self._max_steps, self._steps = render_mode, max_steps, 0
         self.possible_agents = [f"robot_{number}" for number in range(1, robots + 1)]
@@ -59,9 +59,8 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         """Return the space of a robot's actions: speed in m/s and turn rate in rad/s."""
         return self.action_spaces[agent]
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    def reset(self, seed: int | None = None,
+              options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Begin episodes of all robots; there are no options."""
         del options
         if seed is not None:
@@ -71,11 +70,7 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
         observations = self.runner.reset(every_robot, self._rng, None, is_seeded=True)
         return self._of_agents(observations), self._infos(~every_robot)
 
-    def step(
-        self, actions: Mapping[str, Action]
-    ) -> tuple[
-        dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
-    ]:
+    def step(self, actions: Mapping[str, Action]) -> tuple[Observations, dict[str, float], Flags, Flags, Infos]:
         """Drive all robots whose episode has not ended for a period."""
         # 1. Robots without an action stand.
         rows, is_driving = np.zeros((len(self.possible_agents), 2)), np.zeros(len(self.possible_agents), dtype=np.bool_)
@@ -95,15 +90,13 @@ class RobotsParallelEnv(ParallelEnv[str, Observation, Action]):
     def _row(self, agent: str) -> int:
         return self.possible_agents.index(agent)
 
-    def _of_agents(self, found: Observation) -> dict[str, Observation]:
+    def _of_agents(self, found: Observation) -> Observations:
         return {agent: {name: rows[self._row(agent)] for name, rows in found.items()} for agent in self.agents}
 
-    def _infos(self, is_success: npt.NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
+    def _infos(self, is_success: npt.NDArray[np.bool_]) -> Infos:
         poses = self.runner.poses_m()
-        return {
-            agent: {"is_success": bool(is_success[self._row(agent)]), "pose_m": poses[self._row(agent)]}
-            for agent in self.agents
-        }
+        return {agent: {"is_success": bool(is_success[self._row(agent)]), "pose_m": poses[self._row(agent)]}
+                for agent in self.agents}
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return a picture of the world and its robots (height, width, 3), in the mode rgb_array."""

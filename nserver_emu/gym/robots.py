@@ -54,9 +54,8 @@ class Sensed(NamedTuple):
     is_touching: BoolArray
 
 
-def axis_velocities(
-    model: RobotModel, speed_in_s: FloatArray, turn_rad_s: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def axis_velocities(model: RobotModel, speed_in_s: FloatArray,
+                    turn_rad_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the velocities of a model's axes: translation, steering, turret; or right and left wheel, and none."""
     if model.track_in is None:
         return speed_in_s, turn_rad_s, turn_rad_s
@@ -169,10 +168,8 @@ class ConnectedRobot:
         self._state = self._robot.configure_sonars()
         turned = (self._state.turret_rad - self._state.steering_rad + pi) % (2.0 * pi) - pi
         if self._turns and abs(turned) > MAX_TURRET_RAD:
-            raise StartError(
-                f"the turret looks {np.degrees(turned):.0f} degrees beside the steering, and policies expect sonar 0 "
-                "ahead: turn it, for example with `nomad shell` and `turret`"
-            )
+            raise StartError(f"the turret looks {np.degrees(turned):.0f} degrees beside the steering, and policies "
+                             "expect sonar 0 ahead: turn it, for example with `nomad shell` and `turret`")
         self._start_s = self._now_s
 
     def drive(self, speed_in_s: FloatArray, turn_rad_s: FloatArray) -> None:

@@ -334,10 +334,6 @@ class RunnerOptions:
     max_speed_m_s: float = 0.3
     max_turn_rad_s: float = radians(40.0)
 
-    def loaded_world(self) -> World | None:
-        """Return the world."""
-        return load_world(self.world) if isinstance(self.world, str) else self.world
-
     def robots(self, count: int, world: World | None, is_batch: bool, threads: int | None = None) -> Robots:
         """Return robots: at the address, of a batch, or of one simulation."""
         if self.address is not None:
@@ -379,11 +375,10 @@ class TaskRunner:
         Of one robot. An action is a speed in m/s and a turn rate in rad/s.
     """
 
-    def __init__(
-        self, task: Task, options: RunnerOptions, count: int = 1, *, is_batch: bool = False, threads: int | None = None
-    ) -> None:
+    def __init__(self, task: Task, options: RunnerOptions, count: int = 1, *, is_batch: bool = False,
+                 threads: int | None = None) -> None:
         # A robot at an address drives in a world that is not known.
-        world = options.loaded_world()
+        world = load_world(options.world) if isinstance(options.world, str) else options.world
         self.task, self.options, self._count = task, options, count
         self.robots = options.robots(count, world, is_batch, threads)
         # Robots of one simulation must not touch at their starts.
@@ -398,9 +393,8 @@ class TaskRunner:
         self.action_space = spaces.Box(-limits, limits, dtype=np.float32)
         self.observation_space: Any = spaces.Dict(task.spaces())
 
-    def reset(
-        self, mask: BoolArray, rng: np.random.Generator, options: Mapping[str, Any] | None, *, is_seeded: bool
-    ) -> Observation:
+    def reset(self, mask: BoolArray, rng: np.random.Generator, options: Mapping[str, Any] | None, *,
+              is_seeded: bool) -> Observation:
         """Begin episodes of the robots of a mask (n,), and return the observations of all.
 
         Parameters
@@ -413,9 +407,8 @@ class TaskRunner:
         options = options or {}
         for name in options:
             if name not in RESET_OPTIONS:
-                raise ValueError(
-                    f"no option {name!r} of a reset; there are {', '.join(RESET_OPTIONS)}{suggest(name, RESET_OPTIONS)}"
-                )
+                raise ValueError(f"no option {name!r} of a reset; there are "
+                                 f"{', '.join(RESET_OPTIONS)}{suggest(name, RESET_OPTIONS)}")
         # The order of draws is the same for any options, so that a seed gives one robot in any of them.
         seed = int(rng.integers(2**31)) if is_seeded else None
         self.robots.reset(mask, self._starts(rng, options), seed)

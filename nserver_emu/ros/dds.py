@@ -16,7 +16,7 @@ import contextlib
 import logging
 import re
 from collections.abc import AsyncIterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -35,7 +35,7 @@ from rosbags.typesys import Stores, get_typestore
 from nclient.errors import ConnectionLost, install_command
 from nclient.recording.ros_messages import MAP, TF, TF_STATIC, FieldType, Message, MessageBuilder
 from nserver_emu.ros import topics
-from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, map_message, rings_of
+from nserver_emu.ros.topics import PERIOD_S, Estimates, RobotReader, loop_time, map_message, rings_of
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer.clients import ErrorBoundary, ViewerClients
 from worlds.world import World
@@ -56,12 +56,12 @@ _LATCHED = Qos(_RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepL
 _COMMAND = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(MAX_COMMANDS), _CDR)
 
 
+@dataclass(slots=True)
 class Driver:
     """A publisher of velocities, and the last error that it caused."""
 
-    def __init__(self, clients: ViewerClients) -> None:
-        self.clients = clients
-        self.error = ""
+    clients: ViewerClients
+    error: str = ""
 
 
 class Ros2Node:
@@ -77,9 +77,8 @@ class Ros2Node:
     has_map : the world is that of the robots.
     """
 
-    def __init__(
-        self, daemon: Daemon, types: RosTypes, domain: int, config: str | None, estimates: Estimates, *, has_map: bool
-    ) -> None:
+    def __init__(self, daemon: Daemon, types: RosTypes, domain: int, config: str | None, estimates: Estimates, *,
+                 has_map: bool) -> None:
         self._daemon = daemon
         self._types = types
         self._error_boundary = ErrorBoundary("ros2")
@@ -220,10 +219,10 @@ class Ros2Node:
     # -- tasks
 
     async def _run_clock(self) -> None:
-        due = _now()
+        due = loop_time()
         while True:
             await asyncio.sleep(COMMAND_PERIOD_S)
-            now = _now()
+            now = loop_time()
             # 1. Velocities, and robots whose driver is silent.
             for robot in self._readers:
                 with self._error_boundary.guard("velocities"):
@@ -255,9 +254,8 @@ class Ros2Node:
 
 
 @contextlib.asynccontextmanager
-async def running_node(
-    daemon: Daemon, distro: str, domain: int, config: str | None, estimates: Estimates, *, has_map: bool
-) -> AsyncIterator[None]:
+async def running_node(daemon: Daemon, distro: str, domain: int, config: str | None, estimates: Estimates, *,
+                       has_map: bool) -> AsyncIterator[None]:
     """Publish and subscribe a daemon's robots.
 
     Raises
@@ -275,10 +273,6 @@ async def running_node(
         yield
     finally:
         await node.close()
-
-
-def _now() -> float:
-    return asyncio.get_running_loop().time()
 
 
 _BASE: Final[dict[str, Any]] = {

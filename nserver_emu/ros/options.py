@@ -140,9 +140,8 @@ async def running_ros(daemon: Daemon, options: argparse.Namespace) -> AsyncItera
         yield lines
 
 
-def _rosbridge(
-    daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *, has_map: bool
-) -> AbstractAsyncContextManager[list[str]]:
+def _rosbridge(daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *,
+               has_map: bool) -> AbstractAsyncContextManager[list[str]]:
     require_packages("--rosbridge", "viewer", "aiohttp")
     from nserver_emu.ros.rosbridge import RosbridgeServer, serve_rosbridge
     from nserver_emu.viewer.http_port import load_tokens
@@ -155,9 +154,8 @@ def _rosbridge(
 
 
 @asynccontextmanager
-async def _ros2(
-    daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *, has_map: bool
-) -> AsyncIterator[list[str]]:
+async def _ros2(daemon: Daemon, options: argparse.Namespace, estimates: Estimates, *,
+                has_map: bool) -> AsyncIterator[list[str]]:
     require_packages("--ros2", "ros2", *_PACKAGES)
     from nserver_emu.ros.dds import running_node
 

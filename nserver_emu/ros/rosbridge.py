@@ -329,10 +329,8 @@ class RosbridgeServer:
     `has_map` is False if the world is not that of the robots; `origins` are those of pages that may connect.
     """
 
-    def __init__(
-        self, daemon: Daemon, tokens: http_port.Tokens | None = None, *, has_map: bool = True,
-        estimates: Estimates | None = None, origins: Set[str] = frozenset(),
-    ) -> None:  # fmt: skip
+    def __init__(self, daemon: Daemon, tokens: http_port.Tokens | None = None, *, has_map: bool = True,
+                 estimates: Estimates | None = None, origins: Set[str] = frozenset()) -> None:
         self.tokens = tokens or http_port.new_tokens()
         self._daemon = daemon
         self._port = HttpPort(daemon.admission, "rosbridge", "--rosbridge")
@@ -406,11 +404,12 @@ class RosbridgeServer:
             client = RosbridgeClient(robots, self._services(), may_act=may_act)
             self._clients[client] = writer
             backlog = Backlog()
-            messages = PageMessages(
-                self._daemon.scheduler,
-                lambda text: self._handle(client, text, is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S),
-                self._port.door.limits.page_rate,
-            )
+
+            def handle(text: str) -> None:
+                with self._error_boundary.guard("a message", robots.name):
+                    client.handle(text, loop_time(), is_late=backlog.max_age_s() > DRIVE_TIMEOUT_S)
+
+            messages = PageMessages(self._daemon.scheduler, handle, self._port.door.limits.page_rate)
             try:
                 async for message in socket:
                     backlog.message_received()
@@ -425,10 +424,6 @@ class RosbridgeServer:
                 del self._clients[client]
                 robots.close()
         return socket
-
-    def _handle(self, client: RosbridgeClient, text: str, *, is_late: bool) -> None:
-        with self._error_boundary.guard("a message", client.robots.name):
-            client.handle(text, loop_time(), is_late=is_late)
 
     def _services(self) -> Services:
         simulated = self._daemon.emulator.simulation.robots

@@ -126,9 +126,8 @@ def messages_of(reading: Reading) -> Iterator[tuple[str, Message]]:
     yield f"{base}/odom", ros_messages.odometry(time_ns, frame, reading.pose, *reading.velocity)
     ring = reading.ring
     limits_m = ring.min_range_in * M_PER_IN, ring.max_range_in * M_PER_IN
-    readings_m = (
-        math.inf if one == ring.no_echo_in or one >= ring.max_range_in else one * M_PER_IN for one in reading.sonars
-    )
+    readings_m = (math.inf if one == ring.no_echo_in or one >= ring.max_range_in else one * M_PER_IN
+                  for one in reading.sonars)
     ranges = [ros_messages.range_m(one, limits_m[0]) for one in readings_m]
     if is_scan(ring):
         angles_rad = ring.angles_rad[: len(ranges)]
@@ -159,10 +158,8 @@ def frames(reading: Reading, map_to_odom: Pose2 | None) -> Message:
 
 def static_frames(rings: Mapping[int, Ring], time_ns: int) -> Message:
     """Return the frames of all sonars of all robots."""
-    return {"transforms": [
-        frame for robot, ring in rings.items()
-        for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), _mounts(ring))
-    ]}  # fmt: skip
+    return {"transforms": [frame for robot, ring in rings.items()
+                           for frame in ros_messages.sonar_frames(time_ns, frame_of(robot), _mounts(ring))]}
 
 
 def _mounts(ring: Ring) -> list[Pose2]:
@@ -254,17 +251,18 @@ class Estimates:
         """Add an estimate; the pose of a robot that is lost is undefined: it has neither a pose nor a frame map."""
         self._latest.pop(robot, None)
         if estimate["trust"] != "LOST":
-            self._latest[robot] = _now(), estimate
+            self._latest[robot] = loop_time(), estimate
             for listener in self.listeners:
                 listener(robot, estimate)
 
     def map_to_odom(self, robot: int) -> Pose2 | None:
         """Return the transform from map to odom; None if the robot is not localized."""
         come_s, estimate = self._latest.get(robot, (-math.inf, None))
-        return map_to_odom(estimate) if estimate is not None and _now() - come_s < STALE_S else None
+        return map_to_odom(estimate) if estimate is not None and loop_time() - come_s < STALE_S else None
 
 
-def _now() -> float:
+def loop_time() -> float:
+    """Return the clock of the running event loop, seconds."""
     return asyncio.get_running_loop().time()
 
 
@@ -314,9 +312,8 @@ class RobotClock:
 class RobotReader:
     """Reads a daemon's robots and passes their messages to `publish`."""
 
-    def __init__(
-        self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, publish: Publish, estimates: Estimates
-    ) -> None:
+    def __init__(self, daemon: Daemon, name: str, error_boundary: ErrorBoundary, publish: Publish,
+                 estimates: Estimates) -> None:
         self._daemon = daemon
         self._publish = publish
         self._estimates = estimates
@@ -359,9 +356,8 @@ class RobotReader:
             motors_v = None if raw is None else volts(raw, MOTOR_RANGE_V)
             self._publish_reading(robot, slots, motors_v, (reply.clock or 0) / 1000)
 
-    def _publish_reading(
-        self, robot: int, slots: list[int], motors_v: float | None, clock_s: float, readings_in: Sequence[float] = ()
-    ) -> None:
+    def _publish_reading(self, robot: int, slots: list[int], motors_v: float | None, clock_s: float,
+                         readings_in: Sequence[float] = ()) -> None:
         model = self._daemon.emulator.simulation.robots[robot].model
         time_ns = self._clocks[robot].time_ns(clock_s, time.time())
         ring = model.body.ring

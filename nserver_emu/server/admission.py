@@ -56,9 +56,8 @@ class Limit(NamedTuple):
         return f"--limit-{self.name.replace('_', '-')}"
 
 
-def _limit(
-    default: int, bounds: tuple[int, int], unit: str, guards: str, reached: str, where: str, none: bool = False
-) -> int:
+def _limit(default: int, bounds: tuple[int, int], unit: str, guards: str, reached: str, where: str,
+           none: bool = False) -> int:
     return field(default=default, metadata={_LIMIT: (*bounds, unit, guards, reached, where, none)})
 
 
@@ -72,20 +71,17 @@ class Limits:
     per_address: int = _limit(
         300, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, from one address",
         "the longest idle connection is closed for a new one; else see below", "server/admission.py")
-    rate: int = _limit(
-        10_000, (10, 1_000_000), "requests per second", "replies to one connection",
-        "requests are read and answered later, as over a slow network; nothing is lost or refused",
-        "server/connection.py", none=True)
-    frame: int = _limit(
-        254, (17, 254), "words", "length of a request; only texts and arm packets are long",
-        "ERROR 2; the request is skipped and the connection continues; a request above "
-        f"{MAX_UNKNOWN_WORDS} words closes it", "server/session.py")
+    rate: int = _limit(10_000, (10, 1_000_000), "requests per second", "replies to one connection",
+                       "requests are read and answered later, as over a slow network; nothing is lost or refused",
+                       "server/connection.py", none=True)
+    frame: int = _limit(254, (17, 254), "words", "length of a request; only texts and arm packets are long",
+                        "ERROR 2; the request is skipped and the connection continues; a request above "
+                        f"{MAX_UNKNOWN_WORDS} words closes it", "server/session.py")
     idle: int = _limit(
         14_400, (1, 31_536_000), "seconds", "time without requests from a connection that waits for no reply",
         "it is closed; robots that it drives stop", "server/admission.py", none=True)
-    stall: int = _limit(
-        30, (1, 86_400), "seconds", "time for an incomplete request, or for replies that are not read",
-        "it is closed; robots that it drives stop", "server/admission.py", none=True)
+    stall: int = _limit(30, (1, 86_400), "seconds", "time for an incomplete request, or for replies that are not read",
+                        "it is closed; robots that it drives stop", "server/admission.py", none=True)
     write_queue: int = _limit(
         65_536, (1024, 16_777_216), "bytes", "replies queued for a slow reader",
         "its requests are not processed until it has read most of the replies", "server/connection.py")
@@ -102,13 +98,11 @@ class Limits:
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world, and as many inner walls drawn at run time",
         "ERROR 5 to add_obstacle, an error at the page", "server/handlers/world.py")
-    graphics: int = _limit(
-        20_000, (1, 1_000_000), "shapes", "shapes drawn by draw_robot, draw_line and draw_arc",
-        "the oldest shape is removed", "server/handlers/graphics.py")
-    log: int = _limit(
-        1_000_000_000, (10_000, 10**15), "bytes", "file of --record",
-        "the recording ends, is valid up to there, and the daemon logs it once; the run continues",
-        "nclient/recording/format.py", none=True)
+    graphics: int = _limit(20_000, (1, 1_000_000), "shapes", "shapes drawn by draw_robot, draw_line and draw_arc",
+                           "the oldest shape is removed", "server/handlers/graphics.py")
+    log: int = _limit(1_000_000_000, (10_000, 10**15), "bytes", "file of --record",
+                      "the recording ends, is valid up to there, and the daemon logs it once; the run continues",
+                      "nclient/recording/format.py", none=True)
 
     @property
     def page_connections(self) -> int:
@@ -273,10 +267,9 @@ class AdmissionProtocol(asyncio.Protocol):
         Called with an address that a limit rejects; returns True if the connection is accepted all the same.
     """
 
-    def __init__(
-        self, rules: AdmissionRules, present: Callable[[], Collection[str]],
-        new_protocol: Callable[[], asyncio.BaseProtocol], make_room: Callable[[str], bool] = lambda _host: False,
-    ) -> None:  # fmt: skip
+    def __init__(self, rules: AdmissionRules, present: Callable[[], Collection[str]],
+                 new_protocol: Callable[[], asyncio.BaseProtocol],
+                 make_room: Callable[[str], bool] = lambda _host: False) -> None:
         self._rules, self._present, self._new_protocol = rules, present, new_protocol
         self._make_room = make_room
 

@@ -183,11 +183,9 @@ class StartPoseAllocator:
     def _is_free(self, pose: StartPose, radius_in: float) -> bool:
         """Return True if a robot touches nothing there."""
         position = pose.x_in, pose.y_in
-        return (
-            not self._simulation.spatial_hash.touched(*position, radius_in)
-            and self._simulation.world.clearance(*position) > radius_in
-            and not self._simulation.touched_walker(*position, radius_in)
-        )
+        return (not self._simulation.spatial_hash.touched(*position, radius_in)
+                and self._simulation.world.clearance(*position) > radius_in
+                and not self._simulation.touched_walker(*position, radius_in))
 
     def _candidates(self, spacing_in: float) -> Iterator[StartPose]:
         """Return the starts, then rings around each to the farthest corner of a room."""
@@ -279,10 +277,8 @@ class SimulationConfig:
             model = _model(models, name)
             pose = start or poses.next(model.body.radius_in)
             if pose is None:
-                raise StartError(
-                    f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
-                    "world, or give it a --start"
-                )
+                raise StartError(f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots "
+                                 "or a larger world, or give it a --start")
             simulation.add_robot(robot_id, pose, model, setup, powered=False)
         simulation.power_on()
         return simulation

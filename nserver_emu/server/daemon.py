@@ -58,10 +58,8 @@ class Daemon:
         Fault plans in force; None for a new controller without a plan.
     """
 
-    def __init__(
-        self, emulator: Emulator, speed: float | None = 1.0, handler: CommandHandler | None = None,
-        faults: FaultController | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, emulator: Emulator, speed: float | None = 1.0, handler: CommandHandler | None = None,
+                 faults: FaultController | None = None) -> None:
         self.emulator = emulator
         self.handler: CommandHandler = emulator if handler is None else handler
         # Records requests, replies, time steps and changes in their order.
@@ -95,9 +93,8 @@ class Daemon:
         self.places[TcpConnection.line] = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         return port
 
-    async def open_listener(
-        self, new_connection: Callable[[], TcpConnection], host: str, port: int, option: str
-    ) -> int:  # fmt: skip
+    async def open_listener(self, new_connection: Callable[[], TcpConnection], host: str, port: int,
+                            option: str) -> int:
         """Listen for connections of a kind and return the port.
 
         Raises
@@ -106,9 +103,8 @@ class Daemon:
             If the port is taken; the message names `option`, with which the user chose it.
         """
         try:
-            admitted = partial(
-                admission.AdmissionProtocol, self.admission, self._client_hosts, new_connection, self._make_room
-            )
+            admitted = partial(admission.AdmissionProtocol, self.admission, self._client_hosts, new_connection,
+                               self._make_room)
             server = await admission.listen(admitted, host, port)
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"

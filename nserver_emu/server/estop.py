@@ -95,9 +95,8 @@ class EStop:
         """Return all stopped robots as plain data."""
         return {str(robot_id): hold.as_dict() for robot_id, hold in self.holds.items()}
 
-    def execute(
-        self, call: Call, context: ConnectionContext, run: Callable[[Call, ConnectionContext], Reply | DeferredReply]
-    ) -> Reply | DeferredReply:
+    def execute(self, call: Call, context: ConnectionContext,
+                run: Callable[[Call, ConnectionContext], Reply | DeferredReply]) -> Reply | DeferredReply:
         """Execute a call as far as the hold of its robot allows, and return the reply that informs the client.
 
         Parameters

@@ -68,9 +68,8 @@ class InProcess:
         The session; None for one over TCP.
     """
 
-    def __init__(
-        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: BaseSession[Any] | None = None
-    ) -> None:
+    def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S,
+                 session: BaseSession[Any] | None = None) -> None:
         self.emulator = emulator
         emulator.clock.lockstep_s = step_s
         self._session = session or Session(emulator.answer, "in process")
@@ -109,10 +108,8 @@ class InProcessLine(InProcess):
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
         model = get_model(emulator.simulation.robots[FIRST_ROBOT].model.family)
         wire_state = emulator.serial_wire_state(FIRST_ROBOT)
-        session = SerialSession(
-            emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line",
-            wire_state,
-        )
+        session = SerialSession(emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s,
+                                "in process, on its line", wire_state)
         super().__init__(emulator, step_s, session)
 
     def send(self, data: bytes) -> None:

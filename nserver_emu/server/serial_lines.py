@@ -76,10 +76,8 @@ class PtyConnection(ConnectionHandler):
 
     session: SerialSession
 
-    def __init__(
-        self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
-        new_channel: Callable[[], SerialChannel] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, daemon: Daemon, robot: RobotLine, terminal: PseudoTerminal,
+                 new_channel: Callable[[], SerialChannel] | None = None) -> None:
         super().__init__(daemon)
         self.robot = robot
         self.line = f"serial:{robot.robot_id}"
@@ -272,10 +270,8 @@ def at_port(host: str, port: int) -> str:
 
 
 def _lines(daemon: Daemon, requested: list[RequestedLine]) -> list[tuple[RobotLine, str]]:
-    return [
-        (robot_line(daemon, number if robot_id is None else robot_id), place)
-        for number, (place, robot_id) in enumerate(requested, start=1)
-    ]
+    return [(robot_line(daemon, number if robot_id is None else robot_id), place)
+            for number, (place, robot_id) in enumerate(requested, start=1)]
 
 
 async def _open_robotd(daemon: Daemon, robot: RobotLine, host: str, port: int) -> str:

@@ -178,9 +178,8 @@ class FaultyChannel:
         The channel behind the faults; None for no delay.
     """
 
-    def __init__(
-        self, language: Language, injector: Callable[[], Injector], channel: SerialChannel | None = None
-    ) -> None:
+    def __init__(self, language: Language, injector: Callable[[], Injector],
+                 channel: SerialChannel | None = None) -> None:
         self._line = FaultyLine(language, injector)
         self._channel = ImmediateChannel() if channel is None else channel
         # Bytes delayed by a fault, to the robot and to the host.
@@ -362,10 +361,8 @@ class SerialSession(BaseSession[SerialFrame]):
         Mask and laser mode in force on the robot's lines; None for those at power-on.
     """
 
-    def __init__(
-        self, answer: Answer, robot_id: int, model: Model, clock: Callable[[], float], name: str = "line",
-        wire_state: WireState | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, answer: Answer, robot_id: int, model: Model, clock: Callable[[], float], name: str = "line",
+                 wire_state: WireState | None = None) -> None:
         super().__init__(answer, name, ConnectionContext(wire_state or serial_wire_state(model), robot_id))
         self.model = model
         self._clock = clock

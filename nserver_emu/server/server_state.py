@@ -188,11 +188,8 @@ class AxisOwnership:
 
     def has_motion(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> bool:
         """Return True if closing this connection would stop an axis, or could stop an arm."""
-        moving = (
-            owner is context and moves
-            for robot_id, owners in self._owners.items()
-            for owner, moves in zip(owners, robots[robot_id].moving, strict=True)
-        )
+        moving = (owner is context and moves for robot_id, owners in self._owners.items()
+                  for owner, moves in zip(owners, robots[robot_id].moving, strict=True))
         return any(owner is context for owner in self._arm_owners.values()) or any(moving)
 
     def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
@@ -210,21 +207,17 @@ class AxisOwnership:
 
 def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, float, float]:
     """Return the three values of a command in inches or radians, as the model's axes count."""
-    first, second, third = (
-        number / 10 if rolls else types.rad_from_tenths(number)
-        for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
-    )
+    first, second, third = (number / 10 if rolls else types.rad_from_tenths(number)
+                            for number, rolls in zip(tenths, robot.model.in_inches, strict=True))
     return first, second, third
 
 
 def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tuple[int, int, int]:
     """Return axis values (inches or radians) in tenths; a value other than zero never becomes zero."""
     (first, second, third), (rolls_1, rolls_2, rolls_3) = values, robot.model.in_inches
-    return (
-        away_from_zero((first if rolls_1 else math.degrees(first)) * 10),
-        away_from_zero((second if rolls_2 else math.degrees(second)) * 10),
-        away_from_zero((third if rolls_3 else math.degrees(third)) * 10),
-    )
+    return (away_from_zero((first if rolls_1 else math.degrees(first)) * 10),
+            away_from_zero((second if rolls_2 else math.degrees(second)) * 10),
+            away_from_zero((third if rolls_3 else math.degrees(third)) * 10))
 
 
 def away_from_zero(value: float) -> int:
@@ -298,10 +291,8 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
 
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
-    return (
-        clamp_word(tenths(pose.x_in)), clamp_word(tenths(pose.y_in)), heading_tenths(pose.steering_rad),
-        heading_tenths(pose.turret_rad),
-    )  # fmt: skip
+    return (clamp_word(tenths(pose.x_in)), clamp_word(tenths(pose.y_in)), heading_tenths(pose.steering_rad),
+            heading_tenths(pose.turret_rad))
 
 
 def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
@@ -311,10 +302,8 @@ def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
 
 
 def _stamp(robot: SimulatedRobot, at: segments.Stamp) -> Stamp:
-    return Stamp(
-        *_pose_tenths(at.pose), *axis_tenths(robot, at.velocities), robot_clock_ms(robot, at.pose_time_s),
-        robot_clock_ms(robot, at.sensor_time_s),
-    )  # fmt: skip
+    return Stamp(*_pose_tenths(at.pose), *axis_tenths(robot, at.velocities), robot_clock_ms(robot, at.pose_time_s),
+                 robot_clock_ms(robot, at.sensor_time_s))
 
 
 class StateSensor(NamedTuple):
@@ -467,24 +456,21 @@ def apply_mask(context: ConnectionContext, slots: list[int]) -> list[int]:
     if context.is_held:
         slots = [*slots[:ERROR_SLOT], HELD]
     if not mask.whole and not context.wire_state.line:
-        slots = [
-            value if slot in UNMASKED_SLOTS or mask.has(slot) else last_sent[slot] for slot, value in enumerate(slots)
-        ]
+        slots = [value if slot in UNMASKED_SLOTS or mask.has(slot) else last_sent[slot]
+                 for slot, value in enumerate(slots)]
     context.last_sent = slots
     return slots
 
 
-def add_laser(
-    robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *, wanted: bool = True
-) -> tuple[list[int], tuple[int, ...] | None]:
+def add_laser(robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *,
+              wanted: bool = True) -> tuple[list[int], tuple[int, ...] | None]:
     """Return the slots with the laser mode of a connection, and its laser vector (None if off or excluded)."""
     if not robot.model.has_light_sensors:
         return slots, None
     wire_state = context.wire_state
     with_mode = [*slots[:types.LASER_SLOT], wire_state.laser_mode, *slots[types.LASER_SLOT + 1 :]]
-    return with_mode, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
-        wire_state.laser_mode
-    ) else None
+    is_scanned = wanted and is_on(wire_state.laser_mode)
+    return with_mode, laser_vector(robot, context, wire_state.laser_width) if is_scanned else None
 
 
 # The server.
@@ -527,10 +513,8 @@ class ServerState:
     handlers: Mapping[str, Handler] = {}
     preparations: Mapping[str, Preparation] = {}
 
-    def __init__(
-        self, simulation: Simulation, *, port: int = 1, clock: SimulationClock | None = None,
-        allowed: Allowed | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, simulation: Simulation, *, port: int = 1, clock: SimulationClock | None = None,
+                 allowed: Allowed | None = None) -> None:
         self.simulation = simulation
         self.port = port
         self.clock = clock or SimulationClock()

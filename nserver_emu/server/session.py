@@ -326,10 +326,9 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         Maximum length of a request.
     """
 
-    def __init__(
-        self, answer: Answer, name: str = "client",
-        find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (), max_words: int = Limits().frame
-    ) -> None:  # fmt: skip
+    def __init__(self, answer: Answer, name: str = "client",
+                 find_identity: Callable[[bool | None], Sequence[ClientIdentity]] = lambda _: (),
+                 max_words: int = Limits().frame) -> None:
         super().__init__(answer, name, ConnectionContext())
         self._find_identity = find_identity
         # The first bytes until they identify the client, then None.
@@ -514,11 +513,8 @@ class ClientRegistry:
             connection is ambiguous.
         """
         # 1. Entries from this address with a matching word size.
-        matching = {
-            other: entry
-            for other, entry in self._entries.items()
-            if entry.host == host and wide in (None, entry.identity.wide)
-        }
+        matching = {other: entry for other, entry in self._entries.items()
+                    if entry.host == host and wide in (None, entry.identity.wide)}
         # 2. Prefer clients that nothing continues yet, and of these the ones that only connected: old clients open
         #    their second connection right after that.
         originals = {other: entry for other, entry in matching.items() if other not in self._continued}
@@ -617,9 +613,8 @@ class PoseRequests:
         self.open = False
         self._requests: list[PoseRequest] = []
 
-    def add(
-        self, robot_id: int, context: ConnectionContext, default: Callable[[], ClickedPose]
-    ) -> Callable[[], ClickedPose | None]:
+    def add(self, robot_id: int, context: ConnectionContext,
+            default: Callable[[], ClickedPose]) -> Callable[[], ClickedPose | None]:
         """Request a pose of a robot.
 
         Returns

@@ -227,9 +227,8 @@ class Ping(NamedTuple):
     noise: tuple[float, ...]
 
 
-relative_std: Any = partial(
-    setting, low=0, high=1, unit="", meaning="standard deviation of a range relative to it", former="std_share"
-)
+relative_std: Any = partial(setting, low=0, high=1, unit="", meaning="standard deviation of a range relative to it",
+                            former="std_share")
 """The setting `range_std_relative` of every sensor that measures ranges."""
 
 _std_floor: Any = partial(setting, low=0, high=10, unit="in", meaning="lower bound of that", former="least_std_in")
@@ -341,10 +340,8 @@ class Polaroid(SonarErrors):
         range_noise, level_noise = rng.standard_normal(2).tolist()
         return range_noise, level_noise
 
-    def measured_range(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS,
-        max_range_in: float = inf,
-    ) -> float:  # fmt: skip
+    def measured_range(self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body,
+                       others: FloatArray = NO_DISCS, max_range_in: float = inf) -> float:
         """Return the measured range of a ping, inches from the ring; inf for no echo.
 
         Parameters
@@ -359,10 +356,8 @@ class Polaroid(SonarErrors):
         range_in = self.first_echo_in(ping, earlier, reflectors, body, others, max_range_in)
         return range_in if range_in == inf else range_in + ping.noise[0] * self.std_in(range_in)
 
-    def first_echo_in(
-        self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body, others: FloatArray = NO_DISCS,
-        max_range_in: float = inf,
-    ) -> float:  # fmt: skip
+    def first_echo_in(self, ping: Ping, earlier: Sequence[Ping], reflectors: ReflectorMap, body: Body,
+                      others: FloatArray = NO_DISCS, max_range_in: float = inf) -> float:
         """Return the range of the first echo above the threshold, without noise; inf for none."""
         margin_db = self.margin_db + self.margin_std_db * ping.noise[1]
         # 1. The transducer, and those of earlier pings that are not too weak by now.
@@ -373,10 +368,9 @@ class Polaroid(SonarErrors):
             if self.absorption_db_in * (self.blanking_in + head_start_in / 2.0) <= margin_db:
                 sources.append(_source(other, face_in, head_start_in))
         # 2. Lists in plain Python, arrays in compiled code.
-        losses = Attenuation(
-            self.cone_rad / 2.0, self.cone_loss_db / 2.0, float(self.absorption_db_in), float(self.bounce_loss_db),
-            float(self.edge_loss_db), float(self.skin_loss_db), float(self.post_loss_db),
-        )  # fmt: skip
+        losses = Attenuation(self.cone_rad / 2.0, self.cone_loss_db / 2.0, float(self.absorption_db_in),
+                             float(self.bounce_loss_db), float(self.edge_loss_db), float(self.skin_loss_db),
+                             float(self.post_loss_db))
         settings = float(margin_db), float(self.blanking_in), float(self.recess_in), losses
         FIRST_ECHO.count_calls()
         if FIRST_ECHO.is_compiled:

@@ -17,7 +17,7 @@ the lift moves 0..48 in at up to 5 in/s, the gripper opens 0..5 in at up to 2 in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import copysign, inf, sqrt
 from typing import Final, NamedTuple
@@ -139,10 +139,8 @@ class Axis:
 
     def to_state(self) -> AxisState:
         """Return all that changes."""
-        phases = tuple(
-            (None if duration_s == inf else duration_s, velocity, acceleration)
-            for duration_s, velocity, acceleration in self._phases
-        )
+        phases = tuple((None if duration_s == inf else duration_s, velocity, acceleration)
+                       for duration_s, velocity, acceleration in self._phases)
         return AxisState(self.mode, self.speed, self.acceleration, self.count, phases, self._elapsed_s)
 
     def set_state(self, state: AxisState) -> None:
@@ -331,9 +329,8 @@ def plan_velocity(start: float, wanted: float, rate: float, ramps: bool) -> tupl
     return up, down, Phase(inf if wanted else 0.0, wanted, 0.0)
 
 
-def plan_distance(
-    start: float, distance: float, top: float, rate: float, ramps: bool
-) -> tuple[Phase, Phase, Phase, Phase, Phase]:
+def plan_distance(start: float, distance: float, top: float, rate: float,
+                  ramps: bool) -> tuple[Phase, Phase, Phase, Phase, Phase]:
     """Plan the motion from the velocity in force to standing still `distance` ahead, at most `top` > 0 fast.
 
     With start velocity u, peak p and acceleration A the two ramps cover (p^2 - u^2) / 2A + p^2 / 2A; the rest of
@@ -388,12 +385,9 @@ def advance_phases(phases: Sequence[Sequence[float]], elapsed_s: float, dt_s: fl
     return travelled, len(phases), 0.0
 
 
-LIFT: Final = AxisLimits(
-    top_speed=5.0, top_acceleration=20.0, min_acceleration=0.1, speed=5.0, acceleration=10.0, resolution=0.1
-)
-GRIP: Final = AxisLimits(
-    top_speed=2.0, top_acceleration=20.0, min_acceleration=0.1, speed=2.0, acceleration=10.0, resolution=0.1
-)
+LIFT: Final = AxisLimits(top_speed=5.0, top_acceleration=20.0, min_acceleration=0.1, speed=5.0, acceleration=10.0,
+                         resolution=0.1)
+GRIP: Final = replace(LIFT, top_speed=2.0, speed=2.0)
 LIFT_TRAVEL_IN: Final = 48.0
 GRIP_TRAVEL_IN: Final = 5.0
 

@@ -80,10 +80,9 @@ class BatchSimulation:
         If a robot does not fit at its start.
     """
 
-    def __init__(
-        self, worlds: World | Sequence[World], robots: int | None = None, *, starts: npt.ArrayLike | None = None,
-        model: RobotModel = N150, setup: RobotSetup = IDEAL, seed: int = 0, threads: int | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, worlds: World | Sequence[World], robots: int | None = None, *,
+                 starts: npt.ArrayLike | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL,
+                 seed: int = 0, threads: int | None = None) -> None:
         # 1. What a batch can simulate.
         self.model, self.setup, self.seed = model, apply_model(model, setup), seed
         _check(model, self.setup)
@@ -105,9 +104,8 @@ class BatchSimulation:
         self._robots["wall_end"] = [ends[id(world)] for world in self._worlds]
         self._robots["wall_begin"] = [ends[id(world)] - len(world.walls) for world in self._worlds]
         # 3. The robots at their starts.
-        self._starts = np.array([
-            (pose.x_in, pose.y_in, pose.steering_rad, pose.turret_rad) for pose in (w.starts[0] for w in self._worlds)
-        ])
+        self._starts = np.array([(pose.x_in, pose.y_in, pose.steering_rad, pose.turret_rad)
+                                 for pose in (w.starts[0] for w in self._worlds)])
         self._is_observed = False
         self.reset(starts=starts, seed=seed)
 
@@ -198,15 +196,13 @@ class BatchSimulation:
 
     # Commands
 
-    def set_velocities(
-        self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, mask: Mask = None
-    ) -> None:
+    def set_velocities(self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike,
+                       mask: Mask = None) -> None:
         """Run at these velocities (n,) or numbers, as `SimulatedRobot.set_velocities`. C: vm."""
         self._command(first, second, third, mask, False)
 
-    def move_relative(
-        self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, mask: Mask = None
-    ) -> None:
+    def move_relative(self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike,
+                      mask: Mask = None) -> None:
         """Move by these distances (n,) or numbers, as `SimulatedRobot.move_relative`. C: pr."""
         self._command(first, second, third, mask, True)
 
@@ -214,9 +210,8 @@ class BatchSimulation:
         """Brake and hold. C: st."""
         self.set_velocities(0.0, 0.0, 0.0, mask)
 
-    def _command(
-        self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, mask: Mask, is_relative: bool
-    ) -> None:
+    def _command(self, first: npt.ArrayLike, second: npt.ArrayLike, third: npt.ArrayLike, mask: Mask,
+                 is_relative: bool) -> None:
         values = np.empty((len(self), 3))
         for column, value in enumerate((first, second, third)):
             values[:, column] = value
@@ -339,15 +334,11 @@ def _load_kernel() -> Any:
 def _check(model: RobotModel, setup: RobotSetup) -> None:
     """Raise ValueError for a model or setup that a batch cannot simulate."""
     if model.has_light_sensors:
-        raise ValueError(
-            f"the model {model.name!r} has infrared sensors, which a batch does not simulate; "
-            "use n150 or scout, or Simulation"
-        )
+        raise ValueError(f"the model {model.name!r} has infrared sensors, which a batch does not simulate; use n150 or "
+                         "scout, or Simulation")
     if not isinstance(setup.sonar, SonarNoise):
-        raise ValueError(
-            f"the setup {setup.name!r} has Polaroid sonars, which a batch does not simulate; "
-            "use ideal, noisy or worn, or Simulation"
-        )
+        raise ValueError(f"the setup {setup.name!r} has Polaroid sonars, which a batch does not simulate; use ideal, "
+                         "noisy or worn, or Simulation")
 
 
 def _worlds(worlds: World | Sequence[World], robots: int | None) -> list[World]:

@@ -246,9 +246,8 @@ def make_loops(sources: int) -> Loops:
             robots[i]["bumpers"] = _bumpers(robots[i], settings[0], walls, ranges)
         assert sources >= 0
 
-    def command(
-        robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool, timeout_ps: int
-    ) -> None:
+    def command(robots: Records, settings: Records, mask: BoolArray, values: FloatArray, is_relative: bool,
+                timeout_ps: int) -> None:
         for i in range(len(robots)):
             if mask[i]:
                 _command(robots[i], settings[0], values[i], is_relative, timeout_ps)
@@ -416,10 +415,8 @@ def _move(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray
         left_s -= _follow(robot, settings, walls, gaps, segment, span_s - left_s)
 
 
-def _follow(
-    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
-    begin_s: float,
-) -> float:  # fmt: skip
+def _follow(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray,
+            segment: ConstantAccelerationSegment, begin_s: float) -> float:
     """Follow a segment to its end or to a contact; return the seconds it took."""
     duration = segment.duration_s
     steering_rad = robot["angles"][STEERING]
@@ -475,10 +472,8 @@ def _turn_uncounted(robot: np.void, settings: np.void, body_rad: float, counted_
 # Contact: `Chassis`.
 
 
-def _contact(
-    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, segment: ConstantAccelerationSegment,
-    heading_rad: float,
-) -> Contact:  # fmt: skip
+def _contact(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray,
+             segment: ConstantAccelerationSegment, heading_rad: float) -> Contact:
     # Most segments are shorter than the clearance: nothing needs to be examined.
     distance = segment.length_bound(segment.duration_s)
     if distance == 0.0 or distance < robot["clearance_in"]:
@@ -490,9 +485,8 @@ def _contact(
     return collision.find_contact(placed, settings["radius_in"], capsules)
 
 
-def _walls_within(
-    robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray, distance_in: float
-) -> list[Capsule]:
+def _walls_within(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatArray,
+                  distance_in: float) -> list[Capsule]:
     """Return the walls within a distance, and update the clearance; `gaps` (m,) is overwritten."""
     begin, end = robot["wall_begin"], robot["wall_end"]
     radius_in, x_in, y_in = settings["radius_in"], robot["pose"][X], robot["pose"][Y]
@@ -527,10 +521,8 @@ def _bumpers(robot: np.void, settings: np.void, walls: FloatArray, gaps: FloatAr
 # Sonars: `SonarRing`, and `SimulatedRobot._emit_along`.
 
 
-def _fire_along(
-    robot: np.void, settings: np.void, segment: ConstantAccelerationSegment, begin_s: float,
-    taken_s: float,
-) -> None:  # fmt: skip
+def _fire_along(robot: np.void, settings: np.void, segment: ConstantAccelerationSegment, begin_s: float,
+                taken_s: float) -> None:
     """Fire the sonars that are due within the first seconds of a segment, which is about to begin."""
     before_s = taken_s - TIME_TOLERANCE_S
     into_s = (robot["due_ps"] - robot["time_ps"]) / PS_PER_S - begin_s
@@ -613,10 +605,8 @@ def _read(robot: np.void, settings: np.void, sonar_number: int, from_axis_in: fl
     """Set the reading of a sonar that has fired, from its true range."""
     robot["is_pending"][sonar_number] = 0
     if not settings["is_dead"][sonar_number]:
-        range_in = noisy_range(
-            from_axis_in - settings["ring_in"], robot["pings"][sonar_number][3], settings["range_std_relative"],
-            settings["range_std_floor_in"],
-        )  # fmt: skip
+        range_in = noisy_range(from_axis_in - settings["ring_in"], robot["pings"][sonar_number][3],
+                               settings["range_std_relative"], settings["range_std_floor_in"])
         robot["readings_in"][sonar_number] = quantized_range(
             range_in + settings["offsets_in"][sonar_number], settings["min_range_in"], settings["max_range_in"],
             settings["resolution_in"], settings["no_echo_in"],
@@ -627,10 +617,8 @@ UNDECIDED: Final = -1.0
 """Stands for the range of a ray along a wall, or through an end of one: `nearest_wall` computes it."""
 
 
-def _range_from_axis(
-    x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], begin: int, end: int,
-    ranges: FloatArray,
-) -> float:  # fmt: skip
+def _range_from_axis(x_in: float, y_in: float, dx: float, dy: float, columns: tuple[FloatArray, ...], begin: int,
+                     end: int, ranges: FloatArray) -> float:
     """Return the range of `nearest_wall` among the walls from row `begin` to `end`, or UNDECIDED.
 
     Parameters

@@ -197,9 +197,8 @@ def find_contact(placed: PlacedSegment, radius_in: float, capsules: Sequence[Cap
     return NO_CONTACT
 
 
-def _first_touched(
-    x_in: float, y_in: float, dx_in: float, dy_in: float, radius_in: float, capsules: Sequence[Capsule]
-) -> tuple[float, int]:
+def _first_touched(x_in: float, y_in: float, dx_in: float, dy_in: float, radius_in: float,
+                   capsules: Sequence[Capsule]) -> tuple[float, int]:
     """Return the free fraction of a straight path (inf: all of it), and the row of the first capsule touched."""
     smallest, first = inf, 0
     for row, capsule in enumerate(capsules):
@@ -209,9 +208,8 @@ def _first_touched(
     return smallest, first
 
 
-def _solve(
-    placed: PlacedSegment, capsule: Capsule, radius_in: float, guess_s: float, window_s: tuple[float, float]
-) -> float:
+def _solve(placed: PlacedSegment, capsule: Capsule, radius_in: float, guess_s: float,
+           window_s: tuple[float, float]) -> float:
     """Return the time in a window at which the gap is 0; the guess where there is no such time.
 
     Newton's steps, and bisection where they would leave the window: robots accelerate, so a guess by distance alone may

@@ -20,9 +20,8 @@ from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits, Axis
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi, wrap_to_pi
 from worlds.robots import Body
 
-NO_AXIS: Final = AxisLimits(
-    top_speed=0.0, top_acceleration=1.0, min_acceleration=1.0, speed=0.0, acceleration=1.0, resolution=0.0
-)
+NO_AXIS: Final = AxisLimits(top_speed=0.0, top_acceleration=1.0, min_acceleration=1.0, speed=0.0, acceleration=1.0,
+                            resolution=0.0)
 """The limits of an axis that does not exist: it accepts every command and never moves."""
 
 SURVEY_IN: Final = 12.0
@@ -249,9 +248,8 @@ class DifferentialDrive:
 
     def turret_after(self, dt_s: float) -> float:
         """Return the heading dt_s >= 0 seconds from now, if no wall stops the robot."""
-        return self.heading_rad + (
-            self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
-        ) / self.track_in
+        apart_in = self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
+        return self.heading_rad + apart_in / self.track_in
 
     def block(self) -> None:
         """Stop both wheels, because something is in front of the robot."""

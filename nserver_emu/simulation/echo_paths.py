@@ -32,17 +32,8 @@ mirrors, edges as scatterers, the beam's directivity.
 from math import asin, atan2, cos, inf, log10, sin, sqrt, tan
 from typing import Any, Final, NamedTuple
 
-from nserver_emu.simulation.visibility import (
-    TINY,
-    Beam,
-    Reflectors,
-    Wall,
-    blocks_between,
-    distance,
-    in_frame,
-    walls_in_cone,
-    walls_of,
-)
+from nserver_emu.simulation import visibility
+from nserver_emu.simulation.visibility import TINY, Beam, Reflectors, Wall, blocks_between, distance, walls_in_cone
 from worlds.raycast import nearest_wall, ray_to_disc, sort_by_range
 
 SMALL_IN: Final = 1e-6
@@ -111,10 +102,8 @@ class Mirror(NamedTuple):
     row: int
 
 
-def first_echo(
-    sources: Any, margin_db: float, min_range_in: float, recess_in: float, losses: Attenuation,
-    reflectors: Reflectors, discs: Any, max_range_in: float,
-) -> float:  # fmt: skip
+def first_echo(sources: Any, margin_db: float, min_range_in: float, recess_in: float, losses: Attenuation,
+               reflectors: Reflectors, discs: Any, max_range_in: float) -> float:
     """Return the range of the first echo that a sonar detects; inf for none below `max_range_in`.
 
     Parameters
@@ -225,7 +214,7 @@ def mirrors_within(mirrors: list[Mirror], reach_in: float) -> list[Mirror]:
 
 def beam_loss_db(beam: Beam, losses: Attenuation, x: float, y: float) -> float:
     """Return the one-way loss towards a point, which grows with the angle squared; inf outside the cone."""
-    ahead, left = in_frame(beam, x, y)
+    ahead, left = visibility.in_frame(beam, x, y)
     off_axis = abs(atan2(left, ahead)) / losses.half_rad
     return losses.rim_loss_db * off_axis * off_axis if off_axis <= 1.0 else inf
 
@@ -260,9 +249,8 @@ def level_in(row: int, along_in: float, reflectors: Reflectors) -> float:
 Echo = tuple[float, float, float, float, float, float, float]
 
 
-def off_walls(
-    pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror], reflectors: Reflectors
-) -> list[Echo]:
+def off_walls(pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+              reflectors: Reflectors) -> list[Echo]:
     """Return the echoes off one wall."""
     out, back = pair.out, pair.back
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]
@@ -296,9 +284,8 @@ def off_edges(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: f
         end_x, end_y = x2, y2
 
 
-def off_edge(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, walls: list[Wall]
-) -> None:
+def off_edge(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float,
+             walls: list[Wall]) -> None:
     """Add the echo off an end of a wall."""
     range_in = scattered_range(pair, losses, nearest_in, x, y, 0.0, 0.0, losses.edge_loss_db)
     if range_in < nearest_in and is_edge(x, y, walls):
@@ -313,10 +300,8 @@ def off_posts(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: f
             echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
 
 
-def scattered_range(
-    pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float, shift_y: float,
-    loss_db: float,
-) -> float:  # fmt: skip
+def scattered_range(pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float,
+                    shift_y: float, loss_db: float) -> float:
     """Return the range of a point that scatters, displaced; inf if it is not detected or not nearer than another."""
     out, back, at_x, at_y = pair.out, pair.back, x + shift_x, y + shift_y
     length_in = distance(out.x, out.y, at_x, at_y) + distance(back.x, back.y, at_x, at_y)
@@ -340,9 +325,8 @@ def is_edge(x: float, y: float, walls: list[Wall]) -> bool:
 # Paths off another robot
 
 
-def off_disc(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, disc: tuple[float, float, float]
-) -> None:
+def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float,
+             disc: tuple[float, float, float]) -> None:
     """Add the specular echo of a disc, and those scattered by it.
 
     A bundle of rays in the plane that a disc of radius r reflects is spread by 1 + 2 a b / ((a + b) r cos(incidence)),
@@ -362,7 +346,7 @@ def off_disc(
         if range_in < nearest_in:
             echoes.append((range_in, x, y, x, y, back.x, back.y))
     # 2. The interval of directions in which the disc is visible inside the cone.
-    ahead, left = in_frame(out, centre_x, centre_y)
+    ahead, left = visibility.in_frame(out, centre_x, centre_y)
     away = distance(0.0, 0.0, ahead, left)
     if away <= radius or losses.skin_loss_db == inf:
         return
@@ -388,7 +372,7 @@ def off_disc(
 
 def may_meet_disc(beam: Beam, losses: Attenuation, disc: tuple[float, float, float]) -> bool:
     """Return True if a disc reaches into the cone, or nearly: not beyond a side, not behind."""
-    ahead, left = in_frame(beam, disc[0], disc[1])
+    ahead, left = visibility.in_frame(beam, disc[0], disc[1])
     return abs(left) * cos(losses.half_rad) - ahead * sin(losses.half_rad) <= disc[2] and ahead >= -disc[2]
 
 
@@ -415,10 +399,8 @@ def specular_normal(pair: Pair, disc: tuple[float, float, float]) -> tuple[bool,
     return start_x * dx + start_y * dy > radius, dx, dy
 
 
-def over_walls_to_disc(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
-    disc: tuple[float, float, float],
-) -> None:  # fmt: skip
+def over_walls_to_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+                       disc: tuple[float, float, float]) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto a disc, and back along themselves."""
     out, (centre_x, centre_y, radius) = pair.out, disc
     for mirror in mirrors:
@@ -442,9 +424,8 @@ def over_walls_to_disc(
 # Paths off two walls
 
 
-def off_two_walls(
-    pair: Pair, losses: Attenuation, nearest_in: float, firsts: list[Mirror], lasts: list[Mirror]
-) -> list[Echo]:
+def off_two_walls(pair: Pair, losses: Attenuation, nearest_in: float, firsts: list[Mirror],
+                  lasts: list[Mirror]) -> list[Echo]:
     """Return the echoes off two walls."""
     out, back = pair.out, pair.back
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]
@@ -470,10 +451,8 @@ def off_two_walls(
     return echoes
 
 
-def over_walls_to_walls(
-    echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
-    reflectors: Reflectors,
-) -> None:  # fmt: skip
+def over_walls_to_walls(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+                        reflectors: Reflectors) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto another, and back along themselves."""
     out, reach_in, has_surfaces = pair.out, nearest_in - pair.offset_in, len(reflectors.begins) > 0
     for mirror in mirrors:
@@ -484,7 +463,7 @@ def over_walls_to_walls(
         if right_x * left_y < right_y * left_x:
             right_x, right_y, left_x, left_y = left_x, left_y, right_x, right_y
         behind = blocks_between(image_x, image_y, right_x, right_y, left_x, left_y, reach_in, reflectors.boxes)
-        for row, (x1, y1, x2, y2) in walls_of(behind, reflectors.walls):
+        for row, (x1, y1, x2, y2) in visibility.walls_of(behind, reflectors.walls):
             # 2. The foot of the perpendicular from the image, in reach.
             along_x, along_y, to_x, to_y = x2 - x1, y2 - y1, image_x - x1, image_y - y1
             square, dot = along_x * along_x + along_y * along_y, to_x * along_x + to_y * along_y
@@ -508,10 +487,8 @@ def over_walls_to_walls(
 # Obstructions
 
 
-def first_free(
-    echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], back_walls: list[Wall],
-    reflectors: Reflectors, discs: Any,
-) -> float:  # fmt: skip
+def first_free(echoes: list[Echo], pair: Pair, nearest_in: float, out_walls: list[Wall], back_walls: list[Wall],
+               reflectors: Reflectors, discs: Any) -> float:
     """Return the shortest range of a path on which nothing stands between one point and the next, or `nearest_in`.
 
     The first and the last leg of a path lie in the cones, so only the visible walls there can stand between their ends.
@@ -534,7 +511,7 @@ def is_free_between(x: float, y: float, to_x: float, to_y: float, reflectors: Re
         return True
     dx, dy, reach_in = to_x - x, to_y - y, distance(x, y, to_x, to_y)
     blocks = blocks_between(x, y, dx, dy, dx, dy, reach_in, reflectors.boxes)
-    walls = [wall for _, wall in walls_of(blocks, reflectors.walls)]
+    walls = [wall for _, wall in visibility.walls_of(blocks, reflectors.walls)]
     return is_free(x, y, to_x, to_y, walls, discs)
 
 

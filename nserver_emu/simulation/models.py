@@ -44,20 +44,16 @@ from worlds.schema import INCHES_PER_UNIT, read_text
 
 T = TypeVar("T")
 
-ROLLING: Final = AxisLimits(
-    top_speed=20.0, top_acceleration=60.0, min_acceleration=0.1, speed=20.0, acceleration=30.0, resolution=0.1
-)
+ROLLING: Final = AxisLimits(top_speed=20.0, top_acceleration=60.0, min_acceleration=0.1, speed=20.0, acceleration=30.0,
+                            resolution=0.1)
 """Translation of the synchro drives: inches and seconds."""
 
-TURNING: Final = AxisLimits(
-    top_speed=radians(45.0), top_acceleration=radians(100.0), min_acceleration=radians(0.1), speed=radians(45.0),
-    acceleration=radians(50.0), resolution=radians(0.1),
-)  # fmt: skip
+TURNING: Final = AxisLimits(top_speed=radians(45.0), top_acceleration=radians(100.0), min_acceleration=radians(0.1),
+                            speed=radians(45.0), acceleration=radians(50.0), resolution=radians(0.1))
 """Steering and turret of the synchro drives: radians and seconds."""
 
-WHEEL: Final = AxisLimits(
-    top_speed=39.0, top_acceleration=60.0, min_acceleration=0.1, speed=39.0, acceleration=30.0, resolution=0.1
-)
+WHEEL: Final = AxisLimits(top_speed=39.0, top_acceleration=60.0, min_acceleration=0.1, speed=39.0, acceleration=30.0,
+                          resolution=0.1)
 """A wheel of the Scout: inches and seconds."""
 
 SCOUT_WHEEL_IN_PER_DEGREE: Final = 0.118597
@@ -185,10 +181,9 @@ def _parse_model(row: ModelTable, models: Mapping[str, RobotModel], place: str) 
     calibration = row.calibration(body.ring.count, place)
     if calibration is None and body.ring.count == base.body.ring.count:
         calibration = base.calibration
-    return replace(
-        base, name=row.name, body=body, axes=(first, second, third), has_compass=_or(row.compass, base.has_compass),
-        track_in=_or(row.track, base.track_in), calibration=calibration,
-    )  # fmt: skip
+    return replace(base, name=row.name, body=body, axes=(first, second, third),
+                   has_compass=_or(row.compass, base.has_compass), track_in=_or(row.track, base.track_in),
+                   calibration=calibration)
 
 
 def _parse_axis(row: LinearAxis | AngularAxis | UnsetType, base: AxisLimits) -> AxisLimits:
@@ -201,11 +196,9 @@ def _parse_axis(row: LinearAxis | AngularAxis | UnsetType, base: AxisLimits) -> 
         angles = {key: getattr(row, f"{key}_deg") for key in SPEEDS}
         values = [getattr(base, key) if angle is UNSET else radians(angle) for key, angle in angles.items()]
     top_speed, top_acceleration, speed, acceleration = values
-    return replace(
-        base, top_speed=top_speed, top_acceleration=top_acceleration,
-        min_acceleration=min(base.min_acceleration, acceleration, top_acceleration), speed=min(speed, top_speed),
-        acceleration=min(acceleration, top_acceleration),
-    )  # fmt: skip
+    return replace(base, top_speed=top_speed, top_acceleration=top_acceleration,
+                   min_acceleration=min(base.min_acceleration, acceleration, top_acceleration),
+                   speed=min(speed, top_speed), acceleration=min(acceleration, top_acceleration))
 
 
 def _or(value: T | UnsetType, default: T) -> T:

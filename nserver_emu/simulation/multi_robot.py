@@ -80,11 +80,9 @@ class SpatialHash:
 
     def touched(self, x_in: float, y_in: float, radius_in: float) -> list[tuple[int, Disc]]:
         """Return the robots that a robot of this radius would touch there, sorted by their numbers."""
-        return sorted(
-            (number, (x, y, radius))
-            for number, (x, y, radius) in self._around(x_in, y_in, radius_in + self._max_radius_in)
-            if hypot(x_in - x, y_in - y) - radius_in - radius <= 0.0
-        )
+        return sorted((number, (x, y, radius))
+                      for number, (x, y, radius) in self._around(x_in, y_in, radius_in + self._max_radius_in)
+                      if hypot(x_in - x, y_in - y) - radius_in - radius <= 0.0)
 
     def _around(self, x_in: float, y_in: float, reach_in: float) -> Iterator[tuple[int, Disc]]:
         for column in range(floor((x_in - reach_in) / CELL_IN), floor((x_in + reach_in) / CELL_IN) + 1):
@@ -187,10 +185,8 @@ class SimulatedWalker:
         dx, dy = end[0] - x, end[1] - y
         thin_in = WALL_FRACTION * radius_in
         walls, _ = self._walls.within(x, y, thin_in + abs(dx) + abs(dy))
-        return min(
-            min((wall.free_fraction(x, y, dx, dy, thin_in) for wall in walls), default=1.0),
-            min((each.free_fraction(x, y, dx, dy, radius_in + GAP_IN) for each in self._obstacles), default=1.0),
-        )
+        return min(min((wall.free_fraction(x, y, dx, dy, thin_in) for wall in walls), default=1.0),
+                   min((each.free_fraction(x, y, dx, dy, radius_in + GAP_IN) for each in self._obstacles), default=1.0))
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4), rows x1 y1 x2 y2 in inches."""
@@ -262,10 +258,8 @@ class RobotGroup:
 
     def to_state(self) -> GroupState:
         """Return the positions that sensors may still use."""
-        return tuple(
-            (tick, tuple((x, y, radius) for x, y, radius in positions.discs.tolist()))
-            for tick, positions in self._positions.items()
-        )
+        return tuple((tick, tuple((x, y, radius) for x, y, radius in positions.discs.tolist()))
+                     for tick, positions in self._positions.items())
 
     def set_state(self, state: GroupState, robots: Sequence[MovingBody]) -> None:
         """Continue from a state; raise ValueError if it is not one of these robots."""

@@ -97,15 +97,12 @@ class RobotSetup:
 
 
 IDEAL: Final = RobotSetup("ideal")
-NOISY: Final = RobotSetup(
-    "noisy", ramps=True, motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
-    sonar=SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05),
-)  # fmt: skip
-MEASURED: Final = RobotSetup(
-    "measured", ramps=True, motion=NOISY.motion, sonar=Polaroid(),
-    infrared=InfraredNoise(range_std_relative=0.05, slanted=True),
-    compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)), clock_step_s=0.0164,
-)  # fmt: skip
+NOISY: Final = RobotSetup("noisy", ramps=True, motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
+                          sonar=SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05))
+MEASURED: Final = RobotSetup("measured", ramps=True, motion=NOISY.motion, sonar=Polaroid(),
+                             infrared=InfraredNoise(range_std_relative=0.05, slanted=True),
+                             compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
+                             clock_step_s=0.0164)
 BUILDING: Final = replace(
     MEASURED,
     name="building",
@@ -156,9 +153,8 @@ def setup_named(name: str) -> RobotSetup:
     if name in SETUPS:
         return SETUPS[name]
     if not name.endswith(SUFFIX):
-        raise AddressError(
-            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{suggest(name, SETUPS)}"
-        )
+        raise AddressError(f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in "
+                           f"{SUFFIX}{suggest(name, SETUPS)}")
     return load_setup(Path(name))
 
 

@@ -91,9 +91,8 @@ def _walk_std(first_alpha: float, first: float, second_alpha: float, second: flo
     return sqrt(first_alpha * abs(first) + second_alpha * abs(second))
 
 
-def disturbed_segment(
-    segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float, turn_normal: float
-) -> ConstantAccelerationSegment:
+def disturbed_segment(segment: ConstantAccelerationSegment, alphas: Sequence[float], along_normal: float,
+                      turn_normal: float) -> ConstantAccelerationSegment:
     """Return a segment that moves with noise: the same duration, another length, and a turn of the body.
 
     Parameters
@@ -109,10 +108,8 @@ def disturbed_segment(
     turned = _walk_std(alphas[0], angle, alphas[1], distance) * turn_normal
     # Scaling keeps the duration and the shape of the speed profile.
     scale = 1.0 + longer / distance if distance else 1.0
-    return ConstantAccelerationSegment(
-        duration, speed * scale if distance else longer / duration, acceleration * scale, turn_rate + turned / duration,
-        turn_acceleration,
-    )  # fmt: skip
+    return ConstantAccelerationSegment(duration, speed * scale if distance else longer / duration, acceleration * scale,
+                                       turn_rate + turned / duration, turn_acceleration)
 
 
 NO_NOISE: Final = MotionNoise()
@@ -163,9 +160,8 @@ class Odometry:
         return erroneous_segment(segment, track_in, self.scales, self.drifts)
 
 
-def erroneous_segment(
-    segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float], drifts: Sequence[float]
-) -> ConstantAccelerationSegment:
+def erroneous_segment(segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float],
+                      drifts: Sequence[float]) -> ConstantAccelerationSegment:
     """Return the true motion of a drive of this track for a commanded one; errors as those of `Odometry`."""
     # 1. Scale errors of both axes. Those of a synchro drive are speed and turn rate themselves.
     if track_in == NO_TRACK:
@@ -221,10 +217,8 @@ class Encoders:
 
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """Return the encoder pose at these mechanical angles."""
-        return Pose(
-            self._x_in, self._y_in, wrap_to_2pi(steering_rad + self._steering_offset_rad),
-            wrap_to_2pi(turret_rad + self._turret_offset_rad),
-        )  # fmt: skip
+        return Pose(self._x_in, self._y_in, wrap_to_2pi(steering_rad + self._steering_offset_rad),
+                    wrap_to_2pi(turret_rad + self._turret_offset_rad))
 
     def follow(self, segment: ConstantAccelerationSegment, time_s: float, steering_rad: float) -> None:
         """Integrate `time_s` seconds of a segment that starts at this mechanical steering angle."""
@@ -251,9 +245,8 @@ class Encoders:
     def slip(self, distance_in: float, steering_rad: float) -> None:
         """Count a straight distance along this mechanical steering angle that only the wheels rolled."""
         # The wheels roll on the spot, and the encoders take it for a straight motion.
-        heading = steering_rad + self._steering_offset_rad
-        self._x_in += distance_in * cos(heading)
-        self._y_in += distance_in * sin(heading)
+        heading = self.heading(steering_rad)
+        self.shift(distance_in * cos(heading), distance_in * sin(heading))
 
     def define_position(self, x_in: float, y_in: float) -> None:
         """Give the current position these coordinates."""

@@ -121,11 +121,9 @@ class SimulatedRobot:
         True once the sensors are on.
     """
 
-    def __init__(
-        self, rng_factory: RngFactory, start: StartPose, walls: FloatArray, model: RobotModel = N150,
-        setup: RobotSetup = IDEAL, now_ps: int = 0, positions: PositionProvider = NO_OTHERS, self_index: int = 0, *,
-        powered: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, rng_factory: RngFactory, start: StartPose, walls: FloatArray, model: RobotModel = N150,
+                 setup: RobotSetup = IDEAL, now_ps: int = 0, positions: PositionProvider = NO_OTHERS,
+                 self_index: int = 0, *, powered: bool = True) -> None:
         self.rng_factory = rng_factory
         self.model = model
         self.setup = self.initial_setup = setup = apply_model(model, setup)
@@ -292,9 +290,8 @@ class SimulatedRobot:
 
     def _sensor_pose(self) -> SensorPose:
         chassis, positions = self._chassis, self._positions.at(self._time_ps)
-        return SensorPose(
-            *chassis.position, chassis.turret_direction(self._drive.turret_rad), positions, self._self_index
-        )  # fmt: skip
+        return SensorPose(*chassis.position, chassis.turret_direction(self._drive.turret_rad), positions,
+                          self._self_index)
 
     def _segment_time(self, instant_ps: int) -> SegmentTime:
         """Return the time stamp of a reading at the current pose."""

@@ -249,8 +249,6 @@ class SegmentTime(NamedTuple):
         (x, y, heading, segment, (first, second, third)), time_s, turret, sim_time_s = self
         dx, dy = segment.displacement(heading, time_s)
         pose = Pose(x + dx, y + dy, wrap_to_2pi(heading + segment.turn_at(time_s)), wrap_to_2pi(turret))
-        velocities = (
-            shown_velocity_after(first, time_s), shown_velocity_after(second, time_s),
-            shown_velocity_after(third, time_s),
-        )  # fmt: skip
+        velocities = (shown_velocity_after(first, time_s), shown_velocity_after(second, time_s),
+                      shown_velocity_after(third, time_s))
         return Stamp(pose, velocities, sim_time_s, sim_time_s)

@@ -260,9 +260,8 @@ class InfraredRing:
         The instant of the next flash; TIME_MAX_PS if the ring is off.
     """
 
-    def __init__(
-        self, body: Body, noise: InfraredNoise, walls: FloatArray, now_ps: int, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, body: Body, noise: InfraredNoise, walls: FloatArray, now_ps: int,
+                 rng: np.random.Generator) -> None:
         self.body = body
         self.noise = noise
         self._walls = walls

@@ -99,9 +99,8 @@ class Key(NamedTuple):
             convert(degrees(value) if self.in_degrees else value, self.type, f"{self.table}.{self.name}")
 
 
-def setting(
-    default: Any, low: float, high: float, unit: str, meaning: str, former: str = "", max_length: int = 0
-) -> Any:
+def setting(default: Any, low: float, high: float, unit: str, meaning: str, former: str = "",
+            max_length: int = 0) -> Any:
     """Return a dataclass field that is a setting; arguments as in `Key`."""
     key = Key("", "", low, high, unit, meaning, former, max_length=max_length)
     return field(default=default, metadata={_SETTING: key})

@@ -121,10 +121,8 @@ class Simulation:
         """Simulated time since the beginning."""
         return to_s(self.time_ps)
 
-    def add_robot(
-        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL, *,
-        powered: bool = True,
-    ) -> SimulatedRobot:  # fmt: skip
+    def add_robot(self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150,
+                  setup: RobotSetup = IDEAL, *, powered: bool = True) -> SimulatedRobot:
         """Put a robot into the world.
 
         Parameters
@@ -207,10 +205,8 @@ class Simulation:
         self.world.require_free(x_in, y_in, radius_in)
         for number, (x, y, radius) in self.spatial_hash.touched(x_in, y_in, radius_in):
             if number != robot_id:
-                raise StartError(
-                    f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
-                    f"{radius_in + radius:g} in from there there is room"
-                )
+                raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, "
+                                 f"{y:.1f}) in; {radius_in + radius:g} in from there there is room")
         if walker := self.touched_walker(x_in, y_in, radius_in):
             x, y, _ = walker
             raise StartError(f"the start ({x_in:g}, {y_in:g}) in touches a walker, who is at ({x:.1f}, {y:.1f}) in")
@@ -254,10 +250,8 @@ class Simulation:
 
     def _continued(self, walker: Walker) -> SimulatedWalker:
         """Return the body of a walker that goes on, or that of a new one, which starts now."""
-        for body in self.walkers:
-            if body.walker is walker:
-                return body
-        return SimulatedWalker(walker, self.world.walls, self.time_ps)
+        before = next((body for body in self.walkers if body.walker is walker), None)
+        return before or SimulatedWalker(walker, self.world.walls, self.time_ps)
 
     def step(self, dt_s: float) -> None:
         """Advance by dt_s >= 0 seconds; raise ValueError for other numbers.

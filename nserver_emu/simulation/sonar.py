@@ -67,9 +67,8 @@ class SonarNoise(SonarErrors):
         """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""
         return (rng.standard_normal(),) if self.has_noise else (0.0,)
 
-    def measured_ranges(
-        self, pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray, body: Body
-    ) -> list[float]:
+    def measured_ranges(self, pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], walls: FloatArray,
+                        body: Body) -> list[float]:
         """Return the range from the ring along each ray to a wall (m, 4) or a robot, with noise, inches; inf for none.
 
         The number of rays in a call changes no bit of the result.
@@ -83,7 +82,9 @@ class SonarNoise(SonarErrors):
         ring_in = body.sonar_ring_radius_in
         if not self.has_noise:
             return [range_in - ring_in for range_in in from_axis]
-        return [self._with_noise(range_in - ring_in, ping) for range_in, ping in zip(from_axis, pings, strict=True)]
+        stds = self.range_std_relative, self.range_std_floor_in
+        return [noisy_range(range_in - ring_in, ping.noise[0], *stds)
+                for range_in, ping in zip(from_axis, pings, strict=True)]
 
     def _walls_in_reach(self, pings: Sequence[Ping], walls: FloatArray, body: Body) -> FloatArray:
         """Return the walls that decide the readings of these pings."""
@@ -91,10 +92,6 @@ class SonarNoise(SonarErrors):
         apart_in = max(max(x) - min(x), max(y) - min(y))
         reach_in = self.reach_in(body.ring.max_range_in) + body.ring.radius_in + apart_in
         return near_walls(x[0], y[0], reach_in, walls)
-
-    def _with_noise(self, range_in: float, ping: Ping) -> float:
-        noise = ping.noise[0]
-        return noisy_range(range_in, noise, self.range_std_relative, self.range_std_floor_in)
 
 
 def noisy_range(range_in: float, noise: float, relative: float, floor_in: float) -> float:
@@ -115,14 +112,10 @@ def ranges_from_axis(pings: Sequence[Ping], sensor_poses: Sequence[SensorPose], 
     NEAREST_OBSTACLE.count_calls(len(rays))
     if NEAREST_OBSTACLE.is_compiled:
         cast = NEAREST_OBSTACLE.run
-        return [
-            cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in)
-            for ray, pose in zip(rays, sensor_poses, strict=True)
-        ]
-    return [
-        nearest_disc(*ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in)
-        for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)
-    ]
+        return [cast(*ray, walls, pose.robots.sorted, pose.self_index, pose.robots.max_radius_in)
+                for ray, pose in zip(rays, sensor_poses, strict=True)]
+    return [nearest_disc(*ray, wall_in, pose.robots.rows, pose.self_index, pose.robots.max_radius_in)
+            for ray, pose, wall_in in zip(rays, sensor_poses, cast_each(rays, walls), strict=True)]
 
 
 IDEAL_SONAR: Final = SonarNoise()
@@ -163,9 +156,8 @@ class SonarRing:
         The instant of the next firing; TIME_MAX_PS if the ring is off.
     """
 
-    def __init__(
-        self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator, surface_seed: int = 0
-    ) -> None:
+    def __init__(self, body: Body, model: SonarModel, walls: FloatArray, rng: np.random.Generator,
+                 surface_seed: int = 0) -> None:
         self.body = body
         self.model = model
         self._surface_seed = surface_seed
@@ -185,19 +177,14 @@ class SonarRing:
 
     def to_state(self) -> SonarState:
         """Return all that changes; pending ranges are computed, which changes no reading."""
-        return SonarState(
-            self.readings_in, self.stamps, self.pings, self._earlier, self._firing, self._interval_ps, self._count,
-            self.due_ps,
-        )  # fmt: skip
+        return SonarState(self.readings_in, self.stamps, self.pings, self._earlier, self._firing, self._interval_ps,
+                          self._count, self.due_ps)
 
     def set_state(self, state: SonarState, now_ps: int) -> None:
         """Continue from a state; raise ValueError if it is not one of a ring."""
         # An interval and an order bound the number of firings in a step.
-        if state.due_ps != TIME_MAX_PS and not (
-            state.firing
-            and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
-            and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS
-        ):
+        if state.due_ps != TIME_MAX_PS and not (state.firing and TICK_PS <= state.interval_ps <= MAX_RATE * TICK_PS
+                                                and now_ps <= state.due_ps <= now_ps + MAX_RATE * TICK_PS):
             raise ValueError("a sonar ring without an interval or an order")
         # One value per sonar, each in its range.
         ring = self._ring
@@ -298,10 +285,8 @@ class SonarRing:
             if sonar in model.dead:
                 self._readings[sonar] = DEAD_IN
 
-    def _emit(
-        self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
-        earlier: tuple[Ping, ...],
-    ) -> Ping:  # fmt: skip
+    def _emit(self, sonar: int, sensor_pose: SensorPose, stamp: Stamp | SegmentTime, instant_ps: int,
+              earlier: tuple[Ping, ...]) -> Ping:
         x, y, turret_rad, _, _ = sensor_pose
         # The beam points away from the axis of the ring, or from one beside it.
         direction_rad = turret_rad + self.model.turned_rad + self._ring.angles_rad[sonar]

@@ -115,10 +115,8 @@ FAR_IN: Final = 1e6
 """Farther than any wall."""
 
 
-def nearest_disc(
-    x: float, y: float, dx: float, dy: float, wall_in: float, discs: Sequence[Sequence[float]] | FloatArray, own: int,
-    max_radius_in: float,
-) -> float:  # fmt: skip
+def nearest_disc(x: float, y: float, dx: float, dy: float, wall_in: float,
+                 discs: Sequence[Sequence[float]] | FloatArray, own: int, max_radius_in: float) -> float:
     """Return the range from (x, y) along the unit vector (dx, dy) to the nearest robot, or to a nearer wall, inches.
 
     Parameters
@@ -158,9 +156,8 @@ def _first_from(discs: Sequence[Sequence[float]] | FloatArray, low: float) -> in
     return begin
 
 
-def nearest_obstacle(
-    x: float, y: float, dx: float, dy: float, walls: FloatArray, discs: FloatArray, own: int, max_radius_in: float
-) -> float:
+def nearest_obstacle(x: float, y: float, dx: float, dy: float, walls: FloatArray, discs: FloatArray, own: int,
+                     max_radius_in: float) -> float:
     """Return the range along a ray to the nearest wall (m, 4) or robot: `nearest_wall`, then `nearest_disc`."""
     rows = zip(walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3])  # noqa: B905  for numba
     wall_in = nearest_wall(x, y, dx, dy, rows)[0]
@@ -251,9 +248,8 @@ def in_frame(beam: Beam, x: float, y: float) -> tuple[float, float]:
     return to_x * beam.dx + to_y * beam.dy, beam.dx * to_y - beam.dy * to_x
 
 
-def blocks_between(
-    x: float, y: float, right_x: float, right_y: float, left_x: float, left_y: float, reach_in: float, boxes: Any
-) -> list[tuple[float, int]]:
+def blocks_between(x: float, y: float, right_x: float, right_y: float, left_x: float, left_y: float, reach_in: float,
+                   boxes: Any) -> list[tuple[float, int]]:
     """Return the blocks of walls that may reach between two directions from a point: distance of the box, and number.
 
     The left direction is at most half a turn to the left of the right one; `reach_in` counts along x and along y.
@@ -289,9 +285,8 @@ def walls_in_cone(beam: Beam, slope: float, reach_in: float, reflectors: Reflect
     """Return the walls that can reach into a cone: not beyond a side, not behind, not too far; few of those hidden."""
     found, walls = [0 for _ in range(0)], [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
     left_x, left_y, boxes = -slope * beam.dy, slope * beam.dx, reflectors.boxes
-    blocks = blocks_between(
-        beam.x, beam.y, beam.dx - left_x, beam.dy - left_y, beam.dx + left_x, beam.dy + left_y, reach_in, boxes
-    )
+    blocks = blocks_between(beam.x, beam.y, beam.dx - left_x, beam.dy - left_y, beam.dx + left_x, beam.dy + left_y,
+                            reach_in, boxes)
     # Where there are several, the nearest first, and no wall that is hidden behind those before it.
     is_crowded = len(blocks) > 1
     hidden_in = [inf for _ in range(SECTORS_OF_CROWD if len(blocks) > FEW_BLOCKS else SECTORS)]
@@ -358,9 +353,8 @@ def is_hidden(low: float, high: float, nearest_in: float, hidden_in: list[float]
     return True
 
 
-def span_of(
-    ahead_1: float, left_1: float, ahead_2: float, left_2: float, slope: float, sectors: int
-) -> tuple[float, float, float]:
+def span_of(ahead_1: float, left_1: float, ahead_2: float, left_2: float, slope: float,
+            sectors: int) -> tuple[float, float, float]:
     """Return between which places in the sectors a wall lies, and how far ahead it begins."""
     place_1, place_2 = left_1 / (ahead_1 * slope), left_2 / (ahead_2 * slope)
     low, high = 0.5 * sectors * (min(place_1, place_2) + 1.0), 0.5 * sectors * (max(place_1, place_2) + 1.0)

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Any, Final
 
 from nclient.errors import REFUSALS, NomadError
@@ -48,8 +48,9 @@ class ErrorBoundary:
     server: str = "page"
     counts: Counter[tuple[str, type[Exception]]] = field(default_factory=Counter)
 
-    def guard(self, place: str, viewer: str = "", on_error: OnError = lambda _: None) -> GuardedBlock:
-        """Return a context manager that catches the exceptions of its block and passes them to `on_error`.
+    @contextmanager
+    def guard(self, place: str, viewer: str = "", on_error: OnError = lambda _: None) -> Iterator[None]:
+        """Catch the exceptions of the block, count them, log the first of its kind in this place, and pass them on.
 
         Parameters
         ----------
@@ -57,37 +58,16 @@ class ErrorBoundary:
         viewer : name of the viewer that it concerns, for the log.
         on_error : called with the exception.
         """
-        return GuardedBlock(self, place, viewer, on_error)
-
-    def record(self, place: str, viewer: str, error: Exception) -> None:
-        """Count an exception; log it if it is the first of its kind in this place."""
-        kind = place, type(error)
-        self.counts[kind] += 1
-        if self.counts[kind] == 1:
-            suffix = f" of {viewer}" if viewer else ""
-            log.error(
-                "%s: %s%s: internal error, all else goes on (logged once)", self.server, place, suffix, exc_info=error
-            )
-
-
-@dataclass(slots=True)
-class GuardedBlock:
-    """Context manager of ErrorBoundary.guard; a generator would be slow, twenty times a second per page."""
-
-    boundary: ErrorBoundary
-    place: str
-    viewer: str
-    on_error: OnError
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: TracebackType | None) -> bool:
-        if not isinstance(error, Exception):
-            return False
-        self.boundary.record(self.place, self.viewer, error)
-        self.on_error(error)
-        return True
+        try:
+            yield
+        except Exception as error:
+            kind = place, type(error)
+            self.counts[kind] += 1
+            if self.counts[kind] == 1:
+                suffix = f" of {viewer}" if viewer else ""
+                log.error("%s: %s%s: internal error, all else goes on (logged once)", self.server, place, suffix,
+                          exc_info=error)
+            on_error(error)
 
 
 ALWAYS_MOVE: Final = frozenset({"zr", "lp"})

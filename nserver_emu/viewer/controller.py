@@ -78,9 +78,8 @@ class ViewerController:
         """When the last message of each kind was published of each robot, and its fields."""
         self.localizers = Localizers(daemon, self._send_localizers)
         # The monitor takes the recorder's place and passes everything on to it.
-        self.traffic_monitor = TrafficMonitor(
-            daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
-        )
+        self.traffic_monitor = TrafficMonitor(daemon.recorder, self._wire_state_of,
+                                              lambda: daemon.emulator.simulation.time_s)
         daemon.recorder = self.traffic_monitor
 
     def connect_page(self, now: float, access: Access, *, watch_token: str = "") -> Viewer:
@@ -165,9 +164,8 @@ class ViewerController:
                 self._call(viewer, message)
             case messages.Drive():
                 reply, others = _replier(viewer, message.id), self.others(viewer, message.robot)
-                self.clients(viewer).drive(
-                    message.robot, message.args, now, lambda answer: reply(answer | {"others": others})
-                )
+                self.clients(viewer).drive(message.robot, message.args, now,
+                                           lambda answer: reply(answer | {"others": others}))
             case messages.Stop() | messages.Release():
                 robots = self.robots(message.robot)
                 if isinstance(message, messages.Stop):
@@ -202,9 +200,7 @@ class ViewerController:
                 if None in self._reading.values():
                     raise messages.InvalidMessage("another page's files are being read; repeat it in a moment")
                 world = self.daemon.emulator.simulation.world
-                adjusted = asyncio.to_thread(
-                    lambda: adjust_world(message.text or format_world(world), message.lengths)
-                )
+                adjusted = asyncio.to_thread(lambda: adjust_world(message.text or format_world(world), message.lengths))
                 self._answer_later(viewer, message.id, adjusted, "files for a page")
             case messages.Gallery():
                 self._answer_later(viewer, message.id, asyncio.to_thread(shipped_worlds), "files for a page")
@@ -257,9 +253,8 @@ class ViewerController:
 
         self.clients(viewer).call(message.robot, message.call, message.args, finish)
 
-    def _answer_later(
-        self, viewer: Viewer, number: int, answer: Coroutine[Any, Any, Answer], place: str, *, is_world: bool = False
-    ) -> None:
+    def _answer_later(self, viewer: Viewer, number: int, answer: Coroutine[Any, Any, Answer], place: str, *,
+                      is_world: bool = False) -> None:
         """Send a viewer an answer for which files are read in a thread; `place` is for the log."""
         reading = asyncio.create_task(answer)
         self._reading[reading] = viewer if is_world else None
@@ -334,11 +329,8 @@ class ViewerController:
 
     def others(self, viewer: Viewer, robot: int) -> list[str]:
         """Return the names of the other viewers that drive this robot now."""
-        return [
-            clients.name
-            for other, clients in self._clients.items()
-            if other is not viewer and clients.is_driving(robot)
-        ]
+        return [clients.name for other, clients in self._clients.items() if other is not viewer
+                and clients.is_driving(robot)]
 
     def robots(self, named: int | None) -> list[int]:
         """Return the robots that a message is about: the one it names, or all. Raises InvalidMessage."""

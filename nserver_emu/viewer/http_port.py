@@ -405,9 +405,8 @@ class HttpPort:
         self._clock = asyncio.create_task(_run_clock(tick))
 
     @contextlib.asynccontextmanager
-    async def websocket(
-        self, request: web.Request, clients: str, max_bytes: int, *, is_limited: bool = True
-    ) -> AsyncIterator[tuple[web.WebSocketResponse, PageWriter]]:
+    async def websocket(self, request: web.Request, clients: str, max_bytes: int, *,
+                        is_limited: bool = True) -> AsyncIterator[tuple[web.WebSocketResponse, PageWriter]]:
         """Accept a websocket, which counts towards --limit-viewers until the end of the block.
 
         Parameters

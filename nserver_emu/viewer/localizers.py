@@ -241,10 +241,8 @@ class Localizers:
             self._folder = tempfile.TemporaryDirectory(prefix="nserver-")
         return Path(self._folder.name) / f"robot_{robot}_{name}"
 
-    async def _run(
-        self, state: LocalizerState, command: list[str], saved: Path, previous: Sequence[asyncio.Task[None]],
-        *, resumes: bool,
-    ) -> None:  # fmt: skip
+    async def _run(self, state: LocalizerState, command: list[str], saved: Path, previous: Sequence[asyncio.Task[None]],
+                   *, resumes: bool) -> None:
         # 1. Two localizers of one robot would publish in turns: wait for the end of those before. The last one saves
         # its estimate unless it is lost.
         await asyncio.gather(*previous, return_exceptions=True)

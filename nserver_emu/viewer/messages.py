@@ -113,16 +113,12 @@ DRIVE_TIMEOUT_S: Final = 0.5
 _COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
 
 Id = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-RobotOrAll = Annotated[
-    int, Meta(ge=0, le=2**31 - 1, title="the number of a robot, or left out for every robot")
-]
+RobotOrAll = Annotated[int, Meta(ge=0, le=2**31 - 1, title="the number of a robot, or left out for every robot")]
 Word = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Point = Annotated[list[Number], Meta(min_length=2, max_length=2, title="a point [x, y]")]
 Points = Annotated[list[Point], Meta(max_length=MAX_POINTS, title="a list of points [[x, y], ...] in inches")]
-PoseTenths = Annotated[
-    list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")
-]  # fmt: skip
+PoseTenths = Annotated[list[Word], Meta(min_length=4, max_length=4, title="x, y, steer and turret in whole tenths")]
 Call = Literal[
     "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
     "move_obstacle", "new_world", "refresh_all", "create_robot",
@@ -510,9 +506,7 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
 class _ConnectionTraffic:
     """Recorder of one connection."""
 
-    def __init__(
-        self, traffic: TrafficMonitor, name: str, line: str, model: Model, inner: ConnectionRecorder
-    ) -> None:
+    def __init__(self, traffic: TrafficMonitor, name: str, line: str, model: Model, inner: ConnectionRecorder) -> None:
         self._traffic, self._inner = traffic, inner
         self._name, self._line, self._model = name, line, model
         self._decoder: FrameDecoder | None = FrameDecoder(line, model)

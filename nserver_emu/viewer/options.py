@@ -117,10 +117,8 @@ def require_robots(options: argparse.Namespace, daemon: Daemon) -> list[Student]
             raise ClassFileError(f"{options.class_file}: {student.name} has robot {student.robot}, and there are only "
                                  f"{len(robots)}: a saved simulation keeps its robots, leave --restore out")
     simulation = daemon.emulator.simulation
-    cramped = [
-        str(number) for number, robot in robots.items()
-        if not has_room_ahead(simulation, StartPose(*robot.actual), robot.model.body.radius_in, number)
-    ]  # fmt: skip
+    cramped = [str(number) for number, robot in robots.items()
+               if not has_room_ahead(simulation, StartPose(*robot.actual), robot.model.body.radius_in, number)]
     if cramped:
         log.warning("robots %s have less than %g in of room ahead: the world %s is small for a class, arena has thirty "
                     "starts", ", ".join(cramped), ROOM_AHEAD_IN, simulation.world.name)

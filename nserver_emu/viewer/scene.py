@@ -144,13 +144,10 @@ class SceneHistory:
         self._modes = modes or {}
         # 1. The laser, in every LASER_INTERVAL-th picture, if a page shows it.
         if (lasers is None or lasers) and (self.number + 1) % LASER_INTERVAL == 0:
-            measured = {
-                str(number): _laser_points(robot)
-                for number, robot in self._server_state.simulation.robots.items()
-                if robot.model.has_light_sensors
-                and (lasers is None or number in lasers)
-                and is_shown(self._modes.get(number, []))
-            }
+            measured = {str(number): _laser_points(robot)
+                        for number, robot in self._server_state.simulation.robots.items()
+                        if robot.model.has_light_sensors and (lasers is None or number in lasers)
+                        and is_shown(self._modes.get(number, []))}
             # The last points must be cleared once, so an empty measurement after a full one counts.
             self._lasers_taken += bool(measured or self._lasers)
             self._lasers = measured
@@ -202,23 +199,16 @@ class SceneHistory:
         # Counts of all points ever added, which identify the state of a trace.
         counts = {n: (trace.count, traces.encoder[n].count) for n, trace in traces.actual.items()}
         simulation = server_state.simulation
-        return Revision(
-            self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
-            simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
-            speech[-1] if speech else None, counts,
-            {n: robot.sonar.pings for n, robot in simulation.robots.items()},
-        )  # fmt: skip
+        return Revision(self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+                        simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
+                        speech[-1] if speech else None, counts,
+                        {n: robot.sonar.pings for n, robot in simulation.robots.items()})
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
         traces = self._server_state.traces
-        return {
-            str(n): {
-                "actual": _newer(traces.actual[n], had[0], has[0]),
-                "encoder": _newer(traces.encoder[n], had[1], has[1]),
-            }
-            for n, has in new.items()
-            if (had := old.get(n, NO_POINTS)) != has
-        }
+        return {str(n): {"actual": _newer(traces.actual[n], had[0], has[0]),
+                         "encoder": _newer(traces.encoder[n], had[1], has[1])}
+                for n, has in new.items() if (had := old.get(n, NO_POINTS)) != has}
 
 
 def body_data(robot: SimulatedRobot) -> Plain:
@@ -308,23 +298,19 @@ def _now(server_state: ServerState) -> Plain:
 
 
 def _pose(pose: Pose) -> list[float]:
-    return [
-        round(pose.x_in, DIGITS), round(pose.y_in, DIGITS),
-        round(pose.steering_rad, ANGLE_DIGITS), round(pose.turret_rad, ANGLE_DIGITS),
-    ]  # fmt: skip
+    return [round(pose.x_in, DIGITS), round(pose.y_in, DIGITS), round(pose.steering_rad, ANGLE_DIGITS),
+            round(pose.turret_rad, ANGLE_DIGITS)]
 
 
 def _changed_beams(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple[Ping | None, ...]]) -> Plain:
     """Return the sonars whose latest ping has another position or direction than before."""
-    record_change = {
-        str(n): [
-            [sonar, *_beam(ping)]
-            for sonar, (before, ping) in enumerate(zip(old.get(n, (None,) * len(pings)), pings, strict=True))
-            if ping is not before and _axis(ping) != _axis(before)
-        ]
-        for n, pings in new.items()
-    }
-    return {n: beams for n, beams in record_change.items() if beams}
+    changed: Plain = {}
+    for n, pings in new.items():
+        pairs = zip(old.get(n, (None,) * len(pings)), pings, strict=True)
+        if beams := [[sonar, *_beam(ping)] for sonar, (before, ping) in enumerate(pairs)
+                     if ping is not before and _axis(ping) != _axis(before)]:
+            changed[str(n)] = beams
+    return changed
 
 
 def _axis(ping: Ping | None) -> tuple[float, ...] | None:

@@ -49,9 +49,8 @@ _HEADERS: Final = {
 class ViewerServer:
     """The page of one daemon. `token` allows everything, `watch_token` only watching, a student's only one robot."""
 
-    def __init__(
-        self, daemon: Daemon, tokens: http_port.Tokens | None = None, students: Sequence[Student] = ()
-    ) -> None:
+    def __init__(self, daemon: Daemon, tokens: http_port.Tokens | None = None,
+                 students: Sequence[Student] = ()) -> None:
         self._tokens = tokens or http_port.new_tokens()
         self._students = students
         self.token, self.watch_token = self._tokens

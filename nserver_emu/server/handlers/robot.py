@@ -45,12 +45,9 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     # Rolling axes count a distance, turning ones have an absolute angle.
     robot = server.claim_axes(context)
     angles = (0.0, robot.encoder.steering_rad, robot.encoder.turret_rad)
-    first, second, third = (
-        _without_rounding(target - count if rolls else math.remainder(target - angle, math.tau))
-        for target, count, angle, rolls in zip(
-            axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True
-        )
-    )
+    axes = zip(axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True)
+    first, second, third = (_without_rounding(target - count if rolls else math.remainder(target - angle, math.tau))
+                            for target, count, angle, rolls in axes)
     robot.move_relative(first, second, third)
 
 
@@ -183,20 +180,17 @@ def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, .
 def sim_truth(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the actual pose of the robot in thousandths; for evaluation only, the filter does not use it."""
     pose = server.robot_of(context).actual
-    values = (
-        1, wrap_word(server.clock_ms), clamp_word(round(pose.x_in * 1000)), clamp_word(round(pose.y_in * 1000)),
-        round(math.degrees(pose.steering_rad) * 1000), round(math.degrees(pose.turret_rad) * 1000),
-        server.simulation.seed & _INT32_MAX, context.robot_id or 0,
-    )  # fmt: skip
+    values = (1, wrap_word(server.clock_ms), clamp_word(round(pose.x_in * 1000)), clamp_word(round(pose.y_in * 1000)),
+              round(math.degrees(pose.steering_rad) * 1000), round(math.degrees(pose.turret_rad) * 1000),
+              server.simulation.seed & _INT32_MAX, context.robot_id or 0)
     return Reply("truth", values=values)
 
 
 # Bumpers and sonars.
 
 
-def _reading(
-    server: ServerState, context: ConnectionContext, _args: tuple[int, ...], sensor: server_state.StateSensor
-) -> Reply:
+def _reading(server: ServerState, context: ConnectionContext, _args: tuple[int, ...],
+             sensor: server_state.StateSensor) -> Reply:
     """Return all readings of a sensor regardless of the mask, which selects the stamps only."""
     robot, now_s = server.robot_of(context), server.simulation.time_s
     values = sensor.values(robot)

@@ -42,6 +42,7 @@ from typing import Any, Final
 
 import numpy as np
 
+import worlds.world
 from nclient.errors import ControlError, StartError, suggest
 from nserver_emu.server.handlers.world import MAX_COORDINATE_IN, is_valid_polygon, overlaps_robot
 from nserver_emu.server.server_state import ServerState
@@ -50,18 +51,7 @@ from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_pa
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world, route_error
-from worlds.world import (
-    MAX_DOORS,
-    MAX_ROUTE_POINTS,
-    MAX_WALKERS,
-    Door,
-    Point,
-    Polygon,
-    StartPose,
-    Walker,
-    WallAccuracy,
-    World,
-)
+from worlds.world import MAX_ROUTE_POINTS, Door, Point, Polygon, StartPose, Walker, WallAccuracy, World
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
@@ -150,9 +140,8 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     return {"walls": len(changed.inner_walls), "was": ends[0], "is": ends[1], **measured, **named}
 
 
-def _wanted_wall(
-    world: World, wanted: Mapping[str, Any]
-) -> tuple[int, tuple[Point, ...] | None, tuple[Point, ...] | None]:
+def _wanted_wall(world: World,
+                 wanted: Mapping[str, Any]) -> tuple[int, tuple[Point, ...] | None, tuple[Point, ...] | None]:
     """Return the row of an inner wall, its ends, and its new ends; None where there is none."""
     if "put" in wanted:
         return len(world.inner_walls), None, read_points(wanted["put"])
@@ -350,9 +339,8 @@ def _free_start(world: World, radius_in: float, taken: Sequence[Disc]) -> StartP
     """Return the first start of a world where a robot of this radius fits and touches none of the discs."""
     for start in world.starts:
         here = start.x_in, start.y_in
-        if not _obstruction(world, *here, radius_in) and all(
-            math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken
-        ):
+        is_apart = all(math.dist(here, (x, y)) > radius_in + radius for x, y, radius in taken)
+        if is_apart and not _obstruction(world, *here, radius_in):
             return start
     return None
 
@@ -424,7 +412,7 @@ def change_door(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
                 now = replace(was, is_open=_is_true(wanted.get("open"), not was.is_open))
     # 2. Check that it fits.
     if now is not None and was is None:
-        if len(doors) >= MAX_DOORS:
+        if len(doors) >= worlds.world.MAX_DOORS:
             raise ControlError(f"door: there are {len(doors)} already, the maximum")
         if not now.name.strip() or now.name in [door.name for door in doors]:
             raise ControlError(f"door: expected a name that no other door has, found {now.name!r}")
@@ -457,7 +445,7 @@ def change_walker(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, A
     # 2. Check that it fits.
     if now is not None:
         _check_walker(server, now)
-        if was is None and len(walkers) >= MAX_WALKERS:
+        if was is None and len(walkers) >= worlds.world.MAX_WALKERS:
             raise ControlError(f"walker: there are {len(walkers)} already, the maximum")
     # 3. Replace, insert or remove it.
     walkers[row : row + 1] = [] if now is None else [now]

@@ -113,12 +113,8 @@ def sim_control(server: ServerState, _context: ConnectionContext, args: tuple[in
     return Reply("control", values=(1, server.clock_ms & _INT32_MAX, speed, int(clock.paused)))
 
 
-HANDLERS: dict[str, Handler] = {
-    name: handler
-    for functions in (*map(vars, (robot, world, graphics)), globals())
-    for name, handler in functions.items()
-    if name in BY_NAME
-} | graphics.REFRESHERS
+HANDLERS: dict[str, Handler] = {name: handler for functions in (*map(vars, (robot, world, graphics)), globals())
+                                for name, handler in functions.items() if name in BY_NAME} | graphics.REFRESHERS
 
 
 class Emulator(ServerState):

@@ -148,7 +148,7 @@ _Corners = tuple[tuple[int, int], ...]
 def add_obstacle(server: ServerState, _context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Add a polygon of three corners or more that encloses some area and no robot."""
     world = server.simulation.world
-    polygon = _polygon(_corners(args))
+    polygon = Polygon(tuple((x / 10, y / 10) for x, y in _corners(args)))
     if not is_valid_polygon(polygon) or overlaps_robot(server, polygon):
         return error_reply(BAD_VALUES)
     if len(world.obstacles) >= server.allowed.obstacles:
@@ -279,10 +279,8 @@ def _predict(server: ServerState, context: ConnectionContext, args: tuple[int, .
         return before
     start = _start(args)
     near = near_walls(start.x_in, start.y_in, _sensor_reach_in(robot.model.body), walls)
-    there = SimulatedRobot(
-        _NoDraws(*robot.rng_factory), start, near, robot.model, IDEAL,
-        positions=RobotPositions(np.vstack((others, (0.0, 0.0, 0.0)))), self_index=len(others),
-    )
+    there = SimulatedRobot(_NoDraws(*robot.rng_factory), start, near, robot.model, IDEAL,
+                           positions=RobotPositions(np.vstack((others, (0.0, 0.0, 0.0)))), self_index=len(others))
     has_laser = there.model.has_light_sensors and is_on(context.wire_state.laser_mode)
     return Prediction(args, walls, others, there, _sensor_steps(there, has_laser))
 
@@ -331,20 +329,11 @@ def _start(args: Sequence[int]) -> StartPose:
     return StartPose(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
 
 
-def _polygon(corners: _Corners) -> Polygon:
-    return Polygon(tuple((x / 10, y / 10) for x, y in corners))
-
-
 def is_valid_polygon(polygon: Polygon) -> bool:
     """Return True if the corners enclose an area of the map and no sides cross."""
     edges = polygon.segments()
-    return (
-        len(edges) >= 3
-        and float(abs(edges).max()) <= MAX_COORDINATE_IN
-        and bool(lengths(edges).all())
-        and crossing(edges) is None
-        and abs(area(polygon.corners_in)) > 0.0
-    )
+    return (len(edges) >= 3 and float(abs(edges).max()) <= MAX_COORDINATE_IN and bool(lengths(edges).all())
+            and crossing(edges) is None and abs(area(polygon.corners_in)) > 0.0)
 
 
 def overlaps_robot(server: ServerState, polygon: Polygon) -> bool:
