@@ -53,15 +53,6 @@ from localization.filters.belief import (
 )
 from localization.filters.ekf import update_ring
 from localization.filters.odometry import predict_state, process_variance
-from localization.filters.sonar_ray import (
-    STRICT,
-    intersect_line,
-    line_of,
-    predict_beam,
-    predicted_variance,
-    range_variance,
-    wall_rows,
-)
 from localization.filters.update import NONE, apply_gain, pose_gain
 from localization.navigation import control_law
 from localization.navigation.control_law import ControlGains, is_reached, next_step, step_to
@@ -599,7 +590,7 @@ def make_drive(sources: int) -> Drive:
         H, is_used = [(0.0, 0.0, 0.0) for _ in range(count)], [False for _ in range(count)]
         R, innovation = [0.0 for _ in range(count)], [0.0 for _ in range(count)]
         change, before = mean[0].copy(), mean[0].copy()
-        rows = wall_rows(walls)
+        rows = sonar_ray.wall_rows(walls)
         listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
             x, P = mean[i], cov[i]
@@ -630,19 +621,20 @@ def make_drive(sources: int) -> Drive:
                     wall = nearest_wall(truth[i, 0], truth[i, 1], dx, dy, rows)[1]
                     if wall == NO_WALL:
                         continue
-                    along, slope, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(wall, listed), 0.0)
-                    R_true = range_variance(sonar, along - trial.ring_in)
+                    line = sonar_ray.line_of(wall, listed)
+                    along, slope, _ = sonar_ray.intersect_line(truth[i, 0], truth[i, 1], dx, dy, line, 0.0)
+                    R_true = sonar_ray.range_variance(sonar, along - trial.ring_in)
                     K, S = pose_gain(bound[i], slope, R_true)
                     add_outer(bound[i], -S, K)
                     reading = along - trial.ring_in + sqrt(R_true) * sonar_error[k, i, beam]
                     if not sonar.lowest_in < reading < sonar.highest_in:
                         continue
                     # 5. The expected reading, and the chi-square gate; linearised at the mean before the whole ring.
-                    expected = predict_beam(x, P, angles_rad[beam], trial.ring_in, listed, gate, 0.0)
+                    expected = sonar_ray.predict_beam(x, P, angles_rad[beam], trial.ring_in, listed, gate, 0.0)
                     if expected.refusal != NONE:
                         continue
-                    R_beam, error = range_variance(sonar, expected.range_in), reading - expected.range_in
-                    if error * error <= trial.threshold * (predicted_variance(P, expected.H) + R_beam):
+                    R_beam, error = sonar_ray.range_variance(sonar, expected.range_in), reading - expected.range_in
+                    if error * error <= trial.threshold * (sonar_ray.predicted_variance(P, expected.H) + R_beam):
                         innovation[beam], R[beam], is_used[beam] = error, R_beam, True
                         H[beam] = expected.H
                         used += 1
@@ -692,8 +684,8 @@ def trial_of(setup: FigureSetup) -> Trial:
         gains=compiled.row_of(GainsRow, setup.gains),
         noise=compiled.row_of(compiled.NoiseRow, setup.noise),
         sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
-        gate=compiled.row_of(compiled.GateRow, STRICT),
-        threshold=STRICT.threshold,
+        gate=compiled.row_of(compiled.GateRow, sonar_ray.STRICT),
+        threshold=sonar_ray.STRICT.threshold,
         walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
         angles_rad=np.ascontiguousarray(setup.angles_rad),
         ring_in=float(setup.body.sonar_ring_radius_in),

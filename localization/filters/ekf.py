@@ -3,12 +3,12 @@
 `KalmanFilter` lists the equations, and the function of each. Its methods (`registry`) process echoes differently:
 
     method, model             echoes of a ring              predicts by               corrects by
-    ekf, rays                 filter_ring                   odometry.predict_state    sonar_ray.update_by_ray
-    ekf, cones                filter_ring                   odometry.predict_state    sonar_cone.update_by_cone
-    ekf, walls with levels    Filter.process                odometry.predict_state    update.pda_update, update.linear
-    iekf                      Filter.process                odometry.predict_state    update.pda_update, update.iterated
+    ekf, rays                 filter_ring                   predict_state    sonar_ray.update_by_ray
+    ekf, cones                filter_ring                   predict_state    sonar_cone.update_by_cone
+    ekf, walls with levels    Filter.process                predict_state    update.pda_update, update.linear
+    iekf                      Filter.process                predict_state    update.pda_update, update.iterated
     ukf                       Filter.process                ukf.predict_state         update.pda_update, ukf.unscented
-    smoother                  Filter.process                odometry.predict_state    as ekf
+    smoother                  Filter.process                predict_state    as ekf
 
 `filter_loop` has `filter_ring`, and `filter_state` from the echoes to the estimate that is reported. numba compiles it
 where that is wanted (`compiled.filter_of`), with the same results to the bit.
@@ -23,50 +23,20 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from localization.filters import compiled
+from localization.filters import compiled, health, odometry, update
 from localization.filters.base import Advance, EncoderRow, Filter, NewEcho
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
-from localization.filters.health import (
-    FilterHealth,
-    HealthLimits,
-    IntegrityMonitor,
-    Signs,
-    clear_slips,
-    slip_probability,
-)
-from localization.filters.odometry import (
-    NO_LAG,
-    Lag,
-    OdometryNoise,
-    Prediction,
-    clock_lag,
-    predict_state,
-    relative_step,
-    true_step,
-    widen_by_rolling,
-    widen_by_slip,
-    widen_prediction,
-)
+from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
+from localization.filters.odometry import Lag, OdometryNoise, Prediction, predict_state
 from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
-from localization.filters.update import (
-    INFORMATIVE,
-    INFORMATIVE_IN_CLUTTER,
-    LIMIT,
-    CorrelatedReadings,
-    MeasurementUpdate,
-    Outcome,
-    Refusal,
-    UpdateResult,
-    kalman_update,
-    shift,
-)
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome, Refusal, UpdateResult
 
 READING: Final = 2
 """Element of a `NewEcho`."""
-NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
+NO_RANGE: Final[Outcome] = (update.LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
 
@@ -158,7 +128,7 @@ class KalmanFilter(Filter):
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
-        self._informative = INFORMATIVE_IN_CLUTTER if measurement.level_stds else INFORMATIVE
+        self._informative = update.INFORMATIVE_IN_CLUTTER if measurement.level_stds else update.INFORMATIVE
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -185,7 +155,7 @@ class KalmanFilter(Filter):
         self._signs = None
         # Walls with levels relate an echo to earlier ones.
         if self._measurement.level_stds:
-            self._measurement.move(*true_step(self._x, distance_in, turn_rad, self._constants))
+            self._measurement.move(*odometry.true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
         self._correlated.move(distance_in, turn_rad)
 
@@ -210,7 +180,7 @@ class KalmanFilter(Filter):
                 self._monitor.add_innovation(result.innovation_in, result.nis, result.slope)
             # The last readings may agree on a slip of the wheels.
             if slip_in := self._monitor.take_slip():
-                widen_by_slip(self._x, self._P, slip_in)
+                odometry.widen_by_slip(self._x, self._P, slip_in)
         return result
 
     def process(
@@ -246,8 +216,8 @@ class KalmanFilter(Filter):
             belief = Belief(np.array(mean), np.array(cov))
         # 3. Another heading: the prediction anew.
         if self._headings and echoes and self._check_heading(poses, echoes):
-            lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
-            belief = self.predicted(*relative_step(*after[1:4], *poses[-1][1:4]), lag)
+            lag = odometry.clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
+            belief = self.predicted(*odometry.relative_step(*after[1:4], *poses[-1][1:4]), lag)
         # 4. The outcomes of all echoes.
         if len(ranges) < len(echoes):
             of_ranges, last = iter(outcomes), echoes[-1]
@@ -256,15 +226,15 @@ class KalmanFilter(Filter):
             ]
         return outcomes, after, belief
 
-    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = odometry.NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the filter leaves out of P.
 
         That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
-        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, slip_probability(self._monitor.slip_sums)
+        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, health.slip_probability(self._monitor.slip_sums)
         scale = float(self._x[-1]) if self._has_scale else 0.0
         x, P = unpack(self.belief)
-        widen_prediction(
+        odometry.widen_prediction(
             x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in, slipped_in2,
             self._predict,
         )  # fmt: skip
@@ -273,7 +243,7 @@ class KalmanFilter(Filter):
     def roll_on_spot(self, distance_in: float) -> None:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
         self._signs = None
-        widen_by_rolling(self._x, self._P, distance_in, self._odometry)
+        odometry.widen_by_rolling(self._x, self._P, distance_in, self._odometry)
 
     def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> bool:
         """Correct the heading, and the state with it, if many readings are outliers that agree on another heading.
@@ -289,10 +259,10 @@ class KalmanFilter(Filter):
         if evidence_nats < self._monitor.limits.heading_nats:
             return False
         # x + K d, K = P_h / P_hh. P stays: readings that agree with both headings have narrowed it already.
-        shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
+        update.shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
         self._correlated.forget_outliers()
-        clear_slips(self._monitor.slip_sums)
+        health.clear_slips(self._monitor.slip_sums)
         self._signs = None
         return True
 
@@ -320,7 +290,7 @@ def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Float
         # 1. innovation = z - h - H x: of this reading after those before it, in the linear model.
         innovation = observation.innovation[..., beam] - sum(h * change for h, change in zip(H, x, strict=True))
         # 2. S = H P H^T + R, K = P H^T / S, x + K innovation, P - K S K^T.
-        nis = nis + kalman_update(x, P, H, observation.R[..., beam], innovation)
+        nis = nis + update.kalman_update(x, P, H, observation.R[..., beam], innovation)
     updated = pack([before + change for before, change in zip(np.moveaxis(belief.mean, -1, 0), x, strict=True)], P)
     updated.mean[..., HEADING] = wrap_angle(updated.mean[..., HEADING])
     return updated, nis

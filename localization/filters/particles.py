@@ -18,29 +18,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import sonar_ray, update
 from localization.filters.base import Filter
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.sonar_cone import ConeSonar, echo_probabilities, reflectors
-from localization.filters.sonar_ray import (
-    RangeNoise,
-    RaySonar,
-    constant_variance,
-    range_variance,
-    ranges_along,
-    wall_map,
-)
-from localization.filters.update import (
-    RANGE_PARAMETERS,
-    CorrelatedReadings,
-    Refusal,
-    UpdateResult,
-    gate_code,
-    information_fraction,
-    mount_at,
-    result_of,
-)
+from localization.filters.sonar_ray import RangeNoise, RaySonar, constant_variance, range_variance
+from localization.filters.update import RANGE_PARAMETERS, CorrelatedReadings, UpdateResult, gate_code, result_of
 from worlds.robots import Body
 
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
@@ -86,7 +71,7 @@ class Likelihood(ABC):
         The widening counts as an error that stays.
         """
         variance, constant = range_variance(self._noise, reading_in), constant_variance(self._noise, reading_in)
-        return information_fraction(variance + self._widen_in2, constant + self._widen_in2, count)
+        return update.information_fraction(variance + self._widen_in2, constant + self._widen_in2, count)
 
     @abstractmethod
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
@@ -112,13 +97,13 @@ class RayLikelihood(Likelihood):
         widen_std_in: float = 0.5,
     ) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
-        self._walls, self._sonar, self._outlier_probability = wall_map(walls), sonar, outlier_probability
+        self._walls, self._sonar, self._outlier_probability = sonar_ray.wall_map(walls), sonar, outlier_probability
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
-        mount = mount_at(self._mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self._mounts, sonar, turret_offset_rad)
         aimed = mount._replace(direction_rad=np.array([mount.direction_rad]))
-        range_in = ranges_along(poses, aimed, self._walls).range_in[:, 0]
+        range_in = sonar_ray.ranges_along(poses, aimed, self._walls).range_in[:, 0]
         has_wall = np.isfinite(range_in)
         expected = np.where(has_wall, range_in, 0.0)
         variance = self._sonar.variance(expected)
@@ -142,13 +127,13 @@ class ConeLikelihood(Likelihood):
         widen_std_in: float = 0.5,
     ) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
-        self._around, self._sonar = reflectors(wall_map(walls).segments), sonar
+        self._around, self._sonar = reflectors(sonar_ray.wall_map(walls).segments), sonar
         self._heading_std = np.array(heading_std_rad)
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
         noise = self._sonar
-        mount = mount_at(self._mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self._mounts, sonar, turret_offset_rad)
         ranges, probability = echo_probabilities(poses, self._heading_std, mount, self._around, noise)
         hits = _density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
         inlier = 1.0 - noise.outlier_probability
@@ -256,7 +241,7 @@ class ParticleFilter(Filter):
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Weigh the particles by a reading; limits change nothing."""
         if not self._likelihood.is_range(reading_in):
-            return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return UpdateResult(update.Refusal.LIMIT, 0.0, 0.0, 1.0)
         # 1. The information of a repeated reading.
         count = self._correlated.count(sonar, turret_offset_rad) + 1
         self._correlated.record(sonar, turret_offset_rad)

@@ -22,20 +22,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters import compiled
+from localization.filters import compiled, sonar_cone
 from localization.filters.belief import Floats
 from localization.filters.compiled import ConeArrays, ConeSonarRow, ListedWalls, row_of
-from localization.filters.sonar_cone import (
-    CLEARANCE_IN,
-    REACH_IN,
-    ConeSonar,
-    Reflectors,
-    echo_probabilities,
-    first_echoes,
-    reflectors,
-    rows_of,
-    to_wall,
-)
+from localization.filters.sonar_cone import CLEARANCE_IN, REACH_IN, ConeSonar, Reflectors
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map, wall_rows
 from nclient.protocol.types import MAX_SONAR_IN
 from worlds.compiled import VARIABLE, compile_function, is_wanted, make_compilable, mark_path, write_mark
@@ -249,7 +239,7 @@ def sampled_echoes(
     """
     segments = wall_map(walls).segments
     low, high = segments.reshape(-1, 2).min(axis=0), segments.reshape(-1, 2).max(axis=0)
-    around = reflectors(segments)
+    around = sonar_cone.reflectors(segments)
     # Always the same places, so that a run can be repeated.
     drawn = np.random.default_rng(0).uniform(low, high, (20 * places, 2))
     chosen: list[tuple[Floats, Floats]] = []
@@ -295,7 +285,7 @@ def expectation(
 ) -> Expect:  # fmt: skip
     """Return what computes the echoes at places of a grid: block by block of neighbouring cells."""
     segments = wall_map(walls).segments
-    around = reflectors(segments)
+    around = sonar_cone.reflectors(segments)
     rows, columns = np.nonzero(number >= 0)
     places = origin_in + cell_in * np.stack((columns, rows), axis=-1)
     block_of = rows // _BLOCK_CELLS * (number.shape[1] // _BLOCK_CELLS + 1) + columns // _BLOCK_CELLS
@@ -406,7 +396,7 @@ def _most_probable(
     # In parts: an array of all poses and all reflectors takes 40 MB.
     for first in range(0, len(poses), _PART_POSES):
         part = slice(first, first + _PART_POSES)
-        ranges_in, probability = echo_probabilities(poses[part], std[part], mount, seen, sonar, blocking)
+        ranges_in, probability = sonar_cone.echo_probabilities(poses[part], std[part], mount, seen, sonar, blocking)
         if probability.shape[1]:
             best = probability.argmax(axis=-1)[:, None]
             range_in[part], likeliest[part] = (
@@ -481,7 +471,7 @@ def likeliest_echoes(
         # 2. The most probable echo in each direction.
         for direction in range(directions):
             heading = direction * (2.0 * pi / directions)
-            for echo in first_echoes(x, y, heading, heading_std_rad, mount, model):
+            for echo in sonar_cone.first_echoes(x, y, heading, heading_std_rad, mount, model):
                 if echo.probability > probabilities[place, direction]:
                     ranges_in[place, direction] = echo.range_in
                     probabilities[place, direction] = echo.probability
@@ -489,7 +479,7 @@ def likeliest_echoes(
 
 def is_in_front(x: float, y: float, row: Any, reach_in: float) -> bool:
     """Return True if the foot of the perpendicular from near (x, y) may lie on a wall, a row of five numbers."""
-    _, _, _, foot = to_wall(x, y, row[0], row[1], row[2], row[3])
+    _, _, _, foot = sonar_cone.to_wall(x, y, row[0], row[1], row[2], row[3])
     return bool(-reach_in < foot < row[4] + reach_in)
 
 
@@ -534,7 +524,7 @@ def compiled_echoes(
         return None
     run = _compile(sources)
     ranges, probabilities = np.zeros((len(places), directions)), np.zeros((len(places), directions))
-    faces, vertices = rows_of(around, sonar)
+    faces, vertices = sonar_cone.rows_of(around, sonar)
     run(np.ascontiguousarray(places, dtype=np.float64), ring_in, heading_std_rad, _row(sonar),
         np.ascontiguousarray(around.walls), faces, vertices, ranges, probabilities)  # fmt: skip
     return ranges, probabilities

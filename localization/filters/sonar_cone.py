@@ -28,33 +28,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import sonar_ray, update
 from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, sqrt, unit_vector, wrap_angle
-from localization.filters.sonar_ray import (
-    NOMAD,
-    WIRE_SONAR,
-    RangeNoise,
-    constant_variance,
-    nearest,
-    range_variance,
-    ray_sonar,
-    wall_map,
-)
-from localization.filters.update import (
-    LIMIT,
-    NO_WALL,
-    NONE,
-    REFUSALS,
-    Association,
-    Covariance,
-    DirectModel,
-    Outcome,
-    Refusal,
-    State,
-    expected_reading,
-    linear,
-    mount_at,
-    update_by_association,
-)
+from localization.filters.sonar_ray import NOMAD, WIRE_SONAR, RangeNoise
+from localization.filters.update import Association, Covariance, DirectModel, Outcome, Refusal, State
 from worlds.raycast import sort_by_range
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
@@ -246,7 +223,7 @@ def building_sonar(ring: Ring) -> ConeSonar:
 
 
 def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
-    rays = ray_sonar(ring)
+    rays = sonar_ray.ray_sonar(ring)
     return replace(
         sonar, rounding_var_in2=rays.rounding_var_in2, lowest_in=rays.lowest_in, highest_in=rays.highest_in,
         cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
@@ -386,7 +363,7 @@ def first_echoes(
     sort_by_range(found)
     undetected, echoes = 1.0, []
     for range_in, number, to_x, to_y, probability in found:
-        if nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
+        if sonar_ray.nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
             continue
         if undetected > 0.0:
             H = range_jacobian(to_x, to_y, arm_x, arm_y)
@@ -405,25 +382,25 @@ def detectable(
         x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), mount, model
     ):
         # A reflector beyond the limit reads "nothing".
-        nearer = normal_cdf((noise.highest_in - range_in) / sqrt(range_variance(noise, range_in)))
+        nearer = normal_cdf((noise.highest_in - range_in) / sqrt(sonar_ray.range_variance(noise, range_in)))
         if nearer > MIN_PROBABILITY:
             candidates.append(EchoCandidate(number, range_in, H, probability * nearer))
     if reading_in <= noise.lowest_in:
-        return LIMIT, 1.0, candidates
+        return update.LIMIT, 1.0, candidates
     if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
         detected = sum([candidate.probability for candidate in candidates])
-        return LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected, candidates
-    return (NONE, 1.0, candidates) if candidates else (NO_WALL, noise.outlier_density, candidates)
+        return update.LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected, candidates
+    return (update.NONE, 1.0, candidates) if candidates else (update.NO_WALL, noise.outlier_density, candidates)
 
 
 def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> Association:
     """Return the hypotheses for a reading of one of these reflectors."""
     noise, parameters = model.noise, model.range_parameters
-    expected = [expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
+    expected = [update.expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
     return Association(
         Refusal.NONE, 1.0, [reading_in for reading_in, _ in expected], [H for _, H in expected],
-        [range_variance(noise, candidate.range_in) for candidate in candidates],
-        [constant_variance(noise, candidate.range_in) for candidate in candidates],
+        [sonar_ray.range_variance(noise, candidate.range_in) for candidate in candidates],
+        [sonar_ray.constant_variance(noise, candidate.range_in) for candidate in candidates],
         [candidate.probability for candidate in candidates], None, noise.outlier_probability, noise.outlier_density,
         0.0, parameters, 1.0,
     )  # fmt: skip
@@ -435,10 +412,10 @@ def update_by_cone(
 ) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
-    if refusal != NONE:
+    if refusal != update.NONE:
         return refusal, 0.0, 0.0, 1.0, likelihood, 0.0
     association = hypotheses(x, candidates, model)
-    return update_by_association(x, P, reading_in, association, linear, count, outlier_fraction)
+    return update.update_by_association(x, P, reading_in, association, update.linear, count, outlier_fraction)
 
 
 def rows_of(around: Reflectors, sonar: ConeSonar) -> tuple[Floats, Floats]:
@@ -457,7 +434,7 @@ class ConeModel(DirectModel):
     noise: ConeSonar
 
     def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, range_parameters: int = 0) -> None:
-        self.walls, self.noise = wall_map(walls), sonar
+        self.walls, self.noise = sonar_ray.wall_map(walls), sonar
         self.mounts = body.ring.mounts
         around = reflectors(self.walls.segments)
         if sonar.surface_std_in:
@@ -473,10 +450,10 @@ class ConeModel(DirectModel):
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return a hypothesis for each reflector that may return the first echo."""
-        mount = mount_at(self.mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self.mounts, sonar, turret_offset_rad)
         refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self)
-        if refusal != NONE:
-            return Association(REFUSALS[refusal], likelihood)
+        if refusal != update.NONE:
+            return Association(update.REFUSALS[refusal], likelihood)
         numbers = np.array([one.reflector for one in candidates])
         expect = partial(ranges_to, mount=mount, around=self.around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)

@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import update
 from localization.filters.belief import (
     HEADING,
     Belief,
@@ -39,27 +40,7 @@ from localization.filters.belief import (
     unit_vector,
     unpack,
 )
-from localization.filters.update import (
-    AMBIGUOUS_WALL,
-    GATE,
-    GRAZING,
-    LIMIT,
-    NO_WALL,
-    NONE,
-    REFUSALS,
-    Association,
-    Covariance,
-    DirectModel,
-    Outcome,
-    Refusal,
-    State,
-    expected_reading,
-    forward_slope,
-    inflated_variance,
-    kalman_gain,
-    mount_at,
-    shift,
-)
+from localization.filters.update import NONE, Association, Covariance, DirectModel, Outcome, Refusal, State
 from worlds import raycast
 from worlds.geometry import MAX_LOOP_WALLS
 from worlds.raycast import cast_ray, nearest_wall, sole_wall
@@ -402,7 +383,7 @@ def predict_beam(
     # 2. The expected range and its derivative.
     distance, H, cosine = intersect_line(from_x, from_y, dx, dy, line_of(row, walls), left_in)
     if sole != raycast.NO_WALL:  # no other wall, from any pose
-        refusal = NONE if abs(cosine) >= gate.min_cos_incidence else GRAZING
+        refusal = NONE if abs(cosine) >= gate.min_cos_incidence else update.GRAZING
         return BeamPrediction(row, distance - ring_radius_in, H, refusal)
     # 3. The wall from the two poses that move the end of the beam farthest sideways.
     reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
@@ -412,9 +393,9 @@ def predict_beam(
         row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
     )
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
-    refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, GRAZING)
-    refusal = choose(ambiguous | (cosine != cosine), AMBIGUOUS_WALL, refusal)
-    refusal = choose(row == raycast.NO_WALL, NO_WALL, refusal)
+    refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, update.GRAZING)
+    refusal = choose(ambiguous | (cosine != cosine), update.AMBIGUOUS_WALL, refusal)
+    refusal = choose(row == raycast.NO_WALL, update.NO_WALL, refusal)
     return BeamPrediction(row, distance - ring_radius_in, H, refusal)
 
 
@@ -447,26 +428,26 @@ def update_by_ray(
     # 1. A reading at a limit is no range.
     noise = model.noise
     if not noise.lowest_in < reading_in < noise.highest_in:
-        return LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0
+        return update.LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0
     # 2. The expected reading, and whether the beam can be used.
     beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, model.walls, model.gate, mount.left_in)
     if beam.refusal != NONE:
         return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in, 0.0
     # 3. innovation = z - h(x), S = H P H^T + R, K = P H^T / S.
     R = range_variance(noise, beam.range_in)
-    expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
+    expected_in, H = update.expected_reading(x, beam.range_in, beam.H, model.range_parameters)
     innovation = reading_in - expected_in
-    K, S = kalman_gain(P, H, R)
+    K, S = update.kalman_gain(P, H, R)
     # 4. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
     nis = innovation * innovation / S
-    slope = forward_slope(H, *unit_vector(x[HEADING]))
+    slope = update.forward_slope(H, *unit_vector(x[HEADING]))
     if not nis <= model.threshold:
-        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
+        return update.GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 5. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
-        K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
-    shift(x, K, innovation)
+        K, S = update.kalman_gain(P, H, update.inflated_variance(R, constant_variance(noise, beam.range_in), count))
+    update.shift(x, K, innovation)
     add_outer(P, -S, K)
     return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in, slope
 
@@ -487,13 +468,13 @@ class RayModel(DirectModel):
         self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
     ) -> Association:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
-        mount = mount_at(self.mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self.mounts, sonar, turret_offset_rad)
         # A trial update of a copy, so that all rules refuse the same readings.
         refusal, *_, likelihood, _ = update_by_ray(x.copy(), [row.copy() for row in P], mount, reading_in, self, 1)
         if refusal != NONE:
-            return Association(REFUSALS[refusal], likelihood)
+            return Association(update.REFUSALS[refusal], likelihood)
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
-        expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
+        expected_in, H = update.expected_reading(x, beam.range_in, beam.H, self.range_parameters)
         return Association(
             Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
             [constant_variance(self.noise, beam.range_in)], [1.0],
@@ -562,8 +543,8 @@ def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPredic
     x, y = x - mount.left_in * dy, y + mount.left_in * dx
     _, row = nearest(x, y, dx, dy, walls)
     distance, H, cosine = intersect_line(x, y, dx, dy, line_of(row, walls), mount.left_in)
-    flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, GRAZING)
-    refusal = np.where(row == raycast.NO_WALL, NO_WALL, flat)
+    flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, update.GRAZING)
+    refusal = np.where(row == raycast.NO_WALL, update.NO_WALL, flat)
     return BeamPrediction(row, distance - mount.ring_in, H, refusal)
 
 
@@ -579,9 +560,9 @@ def observe_ring(
     innovation = readings_in - beams.range_in
     R = sonar.variance(beams.range_in)
     passed = innovation * innovation <= gate.threshold * (predicted_variance(P, beams.H) + R)
-    refusals = np.where((beams.refusal == NONE) & ~passed, GATE, beams.refusal)
+    refusals = np.where((beams.refusal == NONE) & ~passed, update.GATE, beams.refusal)
     is_range = (readings_in > sonar.lowest_in) & (readings_in < sonar.highest_in)
-    refusals = np.where(is_range, refusals, LIMIT).astype(np.int8)
+    refusals = np.where(is_range, refusals, update.LIMIT).astype(np.int8)
     # 3. Beams left out change nothing.
     used = refusals == NONE
     H = np.stack(np.broadcast_arrays(*beams.H), axis=-1)
