@@ -36,13 +36,13 @@ from localization.live.background_search import filter_on_robot
 from localization.live.run import GroundTruth, Publisher, Run, build_message, run_log
 from localization.live.sensor_input import read_log, without_echo
 from localization.navigation.control_law import ContactDetector, MisfitDetector, PoseSmoother, StallDetector
-from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from localization.plot import check_picture, draw_run
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.process import ExitCode, TerminatedBySignal
 from nclient.recording import convert
+from worlds.geometry import crossings
 from worlds.io import load_world
 from worlds.rings import Ring
 from worlds.world import World

@@ -48,7 +48,8 @@ from localization.navigation.path import (
     wall_distances,
 )
 from nclient.errors import NomadError
-from worlds.geometry import expand, nearest_points, nearest_points_of_pairs
+from worlds.geometry import crosses, expand, nearest_points, nearest_points_of_pairs
+from worlds.geometry import crossings as crossings  # localization.mapping.explore imports it from here
 
 START, GOAL = 0, 1
 ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
@@ -108,29 +109,6 @@ def are_clear(segments: Floats, walls: Floats, distance_in: float) -> Mask:
         clear[remaining] = segment_clearances(segments[remaining], near) >= distance_in
         remaining = remaining[clear[remaining]]
     return clear
-
-
-def crossings(segments: Floats, walls: Floats, touch_in: float = 0.0) -> Mask:
-    """Return a matrix (n, m): True where a segment crosses a wall, the ends of both more than `touch_in` beyond."""
-    one, other = segments[:, None, :], walls[None, :, :]
-    return _parts(one, other, touch_in) & _parts(other, one, touch_in)
-
-
-def _parts(segments: Floats, others: Floats, touch_in: float) -> Mask:
-    """Return True where the line of a segment has both ends of another segment farther than `touch_in` on two sides."""
-    first, second = _side(segments, others[..., :2]), _side(segments, others[..., 2:])
-    parts: Mask = first * second < 0.0
-    if touch_in > 0.0:
-        least = touch_in * np.hypot(segments[..., 2] - segments[..., 0], segments[..., 3] - segments[..., 1])
-        parts &= (np.abs(first) > least) & (np.abs(second) > least)
-    return parts
-
-
-def _side(segments: Floats, points: Floats) -> Floats:
-    """Return the cross product that is positive for points to the left of a segment."""
-    along = segments[..., 2:] - segments[..., :2]
-    offset = points - segments[..., :2]
-    return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
 
 
 class CornerCircle:
@@ -414,7 +392,7 @@ def pair_clearances(segments: Floats, walls: Floats) -> Floats:
     for one, other in ((segments, walls), (walls, segments)):
         for end in (slice(0, 2), slice(2, 4)):
             np.minimum(nearest, nearest_points_of_pairs(one[:, end], other)[1], out=nearest)
-    nearest[_parts(segments, walls, 0.0) & _parts(walls, segments, 0.0)] = 0.0
+    nearest[crosses(segments, walls)] = 0.0
     return nearest
 
 
