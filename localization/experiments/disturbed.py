@@ -36,7 +36,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.control_law import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -421,13 +421,11 @@ def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, Tally]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments disturbed",
-        description="A filter with the models of `nomad localize` under errors that these do not have: biased sonars, "
-        "wrong maps, slipping wheels, late clocks, contacts. For each the error, the consistency, and how often the "
-        "status is OK although the estimate is wrong. Results are cached.",
-        epilog="example: python -m localization.experiments disturbed --seeds 2 --setups measured",
-    )
+    parser = execution.parser_of("disturbed", "--seeds 2 --setups measured",
+                                 "A filter with the models of `nomad localize` under errors that these do not have: "
+                                 "biased sonars, wrong maps, slipping wheels, late clocks, contacts. For each the "
+                                 "error, the consistency, and how often the status is OK although the estimate is "
+                                 "wrong. Results are cached.")
     add_value(parser, "--seeds", "N", execution.positive, "number of runs per row", 20)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="first seed (default: %(default)s)")
     execution.add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")

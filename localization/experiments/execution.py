@@ -30,7 +30,7 @@ import numpy as np
 
 from localization.experiments import figure_trial
 from localization.experiments.figure_trial import Figure, FigureResult, join_results, run, run_compiled
-from nclient.common.arguments import add_flag, add_value, whole_number
+from nclient.common.arguments import Parser, add_flag, add_value, whole_number
 from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError, install_command
 from worlds.compiled import is_compiled_for
@@ -298,7 +298,7 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambd
     context = _worker_context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
-        futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
+        futures = [workers.submit(drive_batch, figure, part, _count_steps) for part in parts]
         # 4. Show their progress until all are done; the results are joined in the order of the seeds.
         waiting = set(futures)
         while waiting:
@@ -328,20 +328,15 @@ def drive_on_cluster(
 ) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
     is_compiled = _is_compiled(figure, seeds)
-    firsts = range(0, len(seeds), _CLUSTER_BATCH)
-    items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
-    parts = on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash)
-    return _joined(parts, _counting(report))
+    parts = [seeds[first : first + _CLUSTER_BATCH] for first in range(0, len(seeds), _CLUSTER_BATCH)]
+    work = partial(drive_batch, figure, is_compiled=is_compiled)
+    results = on_cluster(work, parts, address, _compiled_code if is_compiled else code_hash)
+    return _joined(results, _counting(report))
 
 
 def _compiled_code() -> tuple[str, bool]:
     """Return what workers must have in common to take steps in machine code: the code, and numba."""
     return code_hash(), find_spec("numba") is not None
-
-
-def _drive_item(item: tuple[Figure, Sequence[int], bool]) -> FigureResult:
-    figure, seeds, is_compiled = item
-    return drive_batch(figure, seeds, is_compiled=is_compiled)
 
 
 def _counting(report: Tally) -> Tally:
@@ -360,12 +355,8 @@ def _set_counter(counter: Synchronized[int]) -> None:
     _StepCounter.steps = counter
 
 
-def _drive_batch_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
-    """Run `drive_batch` in a worker and count its steps for the parent."""
-    return drive_batch(figure, seeds, _count_steps)
-
-
 def _count_steps(steps: int) -> None:
+    """Count steps of a worker for its parent."""
     if _StepCounter.steps is not None:
         with _StepCounter.steps.get_lock():
             _StepCounter.steps.value += steps
@@ -402,6 +393,12 @@ def write_results(
     written.write_text(json.dumps(more or values, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(values) if options.json else text, flush=True)
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def parser_of(command: str, example: str, description: str) -> Parser:
+    """Return the parser of a command; `example` has some of its arguments."""
+    prog = f"python -m localization.experiments {command}"
+    return Parser(prog=prog, description=description, epilog=f"example: {prog} {example}")
 
 
 NO_PICTURES: Final = "--no-pictures"

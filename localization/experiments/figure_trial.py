@@ -308,9 +308,8 @@ def run_compiled(setup: FigureSetup, seeds: Sequence[int]) -> Runs:
         if not is_moving.any():
             break
     longest = slice(int(robots.steps.max()))
-    truth, mean, cov, bound, nis = (rows[longest] for rows in history[:-1])
-    reached, used = robots.leg == len(setup.goals_in), history.used[longest]
-    return Runs(tuple(seeds), robots.steps, reached, truth, mean, cov, bound, nis, used)
+    states: Any = (rows[longest] for rows in history)
+    return Runs(tuple(seeds), robots.steps, robots.leg == len(setup.goals_in), *states)
 
 
 def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:

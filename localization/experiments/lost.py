@@ -42,9 +42,9 @@ from localization.navigation.control_law import STAND, TURN_RAD_S, RecoveryBehav
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
-from nclient.common.arguments import Parser, add_value, whole_number
+from nclient.common.arguments import add_value, whole_number
 from nclient.robot import Robot
-from nclient.state import Pose, RobotState
+from nclient.state import Pose
 from worlds.io import load_world, world_names
 from worlds.robots import N150
 from worlds.world import World
@@ -357,14 +357,12 @@ class _Run:
         # 2. Estimate from the state with outliers.
         estimate = self._localizer.update(self._outliers.apply(state))
         # 3. Command from the estimate alone.
-        command = self._command(state, estimate)
+        if estimate.health.status is HealthStatus.LOST:
+            command = self._explorer.recover(state, estimate.informative_turn_rad)
+        else:
+            command = self._explorer.command(estimate.pose)
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
-
-    def _command(self, state: RobotState, estimate: Estimate) -> VelocityCommand:
-        if estimate.health.status is HealthStatus.LOST:
-            return self._explorer.recover(state, estimate.informative_turn_rad)
-        return self._explorer.command(estimate.pose)
 
     def _outcome(
         self, lost_after_s: float | None = None, found_after_s: float | None = None, right: bool = False
@@ -730,13 +728,11 @@ def _kind(text: str) -> Kind:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments lost",
-        description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
-        "moved elsewhere (kidnapped); robots with an unknown start (nowhere), a start that looks like the true one "
-        "(door), or one of the two (uncertain). Results are cached.",
-        epilog="example: python -m localization.experiments lost kidnapped --runs 20",
-    )
+    parser = execution.parser_of("lost", "kidnapped --runs 20",
+                                 "Long runs of the method `finder`: tracking (calm), in which every LOST is a false "
+                                 "alarm; robots moved elsewhere (kidnapped); robots with an unknown start (nowhere), "
+                                 "a start that looks like the true one (door), or one of the two (uncertain). Results "
+                                 "are cached.")
     parser.add_argument(
         "kinds", nargs="*", type=_kind, default=[kind for kind in Kind if kind not in GIVEN], metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",

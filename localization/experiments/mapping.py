@@ -34,13 +34,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.experiments.execution import add_choice, add_shared, executor_for, progress, text_table
+from localization.experiments.execution import add_choice, add_shared, executor_for, parser_of, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
 from localization.live.localizer import Localizer
-from localization.live.sensor_input import FiringSchedule, FiringTime, SensorData
+from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.mapping import measurements
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import learn_map
@@ -51,9 +51,8 @@ from localization.mapping.survey import survey
 from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
 from nclient import connect
-from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
-from nclient.state import RobotState, Truth
+from nclient.state import Truth
 from nserver_emu.simulation.acoustics import Polaroid, Surfaces
 from nserver_emu.simulation.noise import SETUPS as SIMULATIONS
 from worlds.geometry import lengths, nearest_points, polygon_segments
@@ -271,35 +270,30 @@ def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
     return Drive(measurements.read_drive(path), np.array(truth))
 
 
+def _timed(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method that adds its processor time to the `seconds` of its object."""
+
+    def run(self: Any, *arguments: Any) -> Any:
+        began = time.process_time()
+        found = method(self, *arguments)
+        self.seconds += time.process_time() - began
+        return found
+
+    return run
+
+
 class _TimedMapper(LiveMapper):
     """A mapper that measures its processor time."""
 
     seconds = 0.0
-
-    def add(self, state: RobotState) -> list[FiringTime]:
-        began = time.process_time()
-        found = super().add(state)
-        self.seconds += time.process_time() - began
-        return found
-
-    def solve(self) -> None:
-        began = time.process_time()
-        super().solve()
-        self.seconds += time.process_time() - began
+    add, solve = _timed(LiveMapper.add), _timed(LiveMapper.solve)
 
 
 class _TimedExplorer(Explorer):
     """An explorer that measures its processor time."""
 
     seconds = 0.0
-
-    def leg(
-        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
-    ) -> list[Point] | None:
-        began = time.process_time()
-        found = super().leg(clock_s, pose, mapper, free_in)
-        self.seconds += time.process_time() - began
-        return found
+    leg = _timed(Explorer.leg)
 
 
 def explore(trial: Trial, folder: Path) -> Drive:
@@ -772,11 +766,8 @@ def read_scores(file: Path) -> list[Score]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments mapping",
-        description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
-        epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
-    )
+    parser = parser_of("mapping", "--seeds 10 --worlds thesis_room",
+                       "Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.")
     add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT, BOXES), list(TOURS),
                f"worlds; {FLAT} and {BOXES} with --explore alone")
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")

@@ -25,7 +25,7 @@ from localization.navigation.mission import Mission, run_mission
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.pilot import Observation, RobotController, Settings
 from localization.navigation.roadmap import Roadmap
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.robot import Robot
 from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
@@ -278,13 +278,10 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments plan",
-        description="Drive a simulated N150 between random positions of the shipped worlds on the estimate, "
-        "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results "
-        "are cached.",
-        epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
-    )
+    parser = execution.parser_of("plan", "--pairs 10 --worlds several_walls",
+                                 "Drive a simulated N150 between random positions of the shipped worlds on the "
+                                 "estimate, as `nomad go` does, and report arrivals, contacts, and path lengths "
+                                 "relative to the shortest path. Results are cached.")
     add_value(parser, "--pairs --seeds", "N", execution.positive, "number of drives in each world", 100)
     execution.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
     execution.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")
