@@ -204,7 +204,7 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
     are exact.
 
     All echoes of a wall repeat its error, from wherever they are measured. The filter counts as correlated only those
-    of one sonar from one pose (`CorrelatedReadings`): along a wall the belief can become more certain than it.
+    of one sonar from one pose (`update.count_used`): along a wall the belief can become more certain than it.
     """
     if not world.accuracies:
         return sonar

@@ -32,7 +32,7 @@ from localization.filters.health import FilterHealth, HealthLimits, IntegrityMon
 from localization.filters.odometry import Lag, OdometryNoise, Prediction, predict_state
 from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Outcome, Refusal, UpdateResult
+from localization.filters.update import OUTLIERS, MeasurementUpdate, Outcome, Refusal, UpdateResult
 
 READING: Final = 2
 """Element of a `NewEcho`."""
@@ -119,10 +119,8 @@ class KalmanFilter(Filter):
         self._x: Any
         self._P: Any
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
-        self._correlated = CorrelatedReadings(as_array=is_compiled)
-        self._memory = FilterMemory(
-            self._x, self._P, self._correlated.used, self._monitor.slip_sums, self._monitor.windows
-        )
+        self._used = update.new_used(as_array=is_compiled)
+        self._memory = FilterMemory(self._x, self._P, self._used, self._monitor.slip_sums, self._monitor.windows)
         self._has_slip_test = self._monitor.limits.slip_nats < inf
         noise = self._direct.noise if self._direct else None
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
@@ -157,7 +155,7 @@ class KalmanFilter(Filter):
         if self._measurement.level_stds:
             self._measurement.move(*odometry.true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading of a sonar that fired at this very pose: x = x- + K (z - h(x-)).
@@ -165,15 +163,14 @@ class KalmanFilter(Filter):
         Only readings that are used can be repeated, and only informative ones enter the health.
         """
         self._signs = None
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        outlier_fraction = self._correlated.outlier_fraction
+        count, outlier_fraction = update.count_used(self._used, sonar, turret_offset_rad) + 1, self._used[-1][OUTLIERS]
         result = self._measurement.apply(
             self._x, self._P, sonar, turret_offset_rad, reading_in, count, outlier_fraction
         )
         if result.refusal is Refusal.NONE:
-            self._correlated.record(sonar, turret_offset_rad)
+            update.record_used(self._used, sonar, turret_offset_rad, count)
         if result.refusal in (Refusal.NONE, Refusal.GATE):
-            self._correlated.count_outlier(result.outlier_probability)
+            update.count_outlier(self._used, result.outlier_probability)
         if result.refusal in self._informative:
             self._monitor.add(result)
             if self.detects_slips and self._has_slip_test:
@@ -252,7 +249,7 @@ class KalmanFilter(Filter):
         """
         assert self._headings is not None
         self._headings.add(poses, echoes)
-        if self._correlated.outlier_fraction < MIN_OUTLIERS:
+        if self._used[-1][OUTLIERS] < MIN_OUTLIERS:
             return False
         x, P = self._x, self._P
         turn_rad, evidence_nats = self._headings.correction(x, P)
@@ -261,7 +258,7 @@ class KalmanFilter(Filter):
         # x + K d, K = P_h / P_hh. P stays: readings that agree with both headings have narrowed it already.
         update.shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
-        self._correlated.forget_outliers()
+        self._used[-1][OUTLIERS] = 0.0
         health.clear_slips(self._monitor.slip_sums)
         self._signs = None
         return True

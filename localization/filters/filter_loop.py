@@ -17,7 +17,7 @@ from localization.filters import health, odometry, update
 from localization.filters.base import EncoderRow, NewEcho
 from localization.filters.health import HealthLimits, Signs, SlipSums, Windows
 from localization.filters.odometry import OdometryNoise, predict_state
-from localization.filters.update import CorrelatedReadings, Covariance, DirectModel, Outcome, State, Used
+from localization.filters.update import Covariance, DirectModel, Outcome, State, Used
 
 
 class FilterMemory(NamedTuple):
@@ -28,7 +28,7 @@ class FilterMemory(NamedTuple):
     x, P
         State and covariance at the last echo (`belief.unpack`).
     used
-        Of `CorrelatedReadings`.
+        Of `update.new_used`.
     slip_sums, windows
         Of `health.IntegrityMonitor`.
     """
@@ -147,7 +147,7 @@ def filter_ring(
     x, P
         State and covariance at the pose `encoders` (`belief.unpack`).
     used
-        Of `CorrelatedReadings`.
+        Of `update.new_used`.
     slip_sums
         Of `health.IntegrityMonitor`; without rows, slips are not looked for.
     encoders, poses, echoes
@@ -197,8 +197,7 @@ def filter_config(
 
 def new_memory(x: State, P: Covariance, *, as_array: bool = False) -> FilterMemory:
     """Return a memory without readings yet, for a filter without a monitor: x and P are lists, or arrays."""
-    used = CorrelatedReadings(as_array=as_array).used
-    slip_sums, windows = health.empty_slip_sums(), health.empty_windows(1)
+    used, slip_sums, windows = update.new_used(as_array=as_array), health.empty_slip_sums(), health.empty_windows(1)
     if as_array:
         return FilterMemory(x, P, used, np.array(slip_sums), np.array(windows))
     return FilterMemory(x, P, used, slip_sums, windows)

@@ -23,14 +23,14 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters import pose_search
+from localization.filters import pose_search, update
 from localization.filters.base import Filter, Place
 from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
 from localization.filters.pose_search import LAST_RECORDS, EchoRecord, PoseSearch, SearchRequest, moved
 from localization.filters.range_table import OUTLIER_PROBABILITY
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
+from localization.filters.update import MeasurementUpdate, Refusal, UpdateResult
 
 # 1. The sequential test between an estimate and its alternatives.
 
@@ -181,7 +181,7 @@ class GlobalLocalizer(Filter):
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
         self._poses = poses
         self._monitor = monitor or IntegrityMonitor()
-        self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
+        self._encoders, self._used = np.zeros(POSE), update.new_used()
         self._last: deque[EchoRecord] = deque(maxlen=LAST_RECORDS)
         self._new_records = 0
         self._test: SequentialTest | None = None
@@ -260,7 +260,7 @@ class GlobalLocalizer(Filter):
         """Predict the estimate after a step that the encoders report."""
         step = np.array((distance_in, turn_rad))
         self._encoders = move(self._encoders, step)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
         if self._estimate is not None:
             self._estimate = predict(self._estimate, step, self._odometry)
             self._alike = [
@@ -286,12 +286,12 @@ class GlobalLocalizer(Filter):
         if self._pending:
             self._since.append(record)
         # 2. Correct and monitor the estimate.
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
+        count = update.count_used(self._used, sonar, turret_offset_rad) + 1
         self._estimate, result = self._measurement.updated(
             self._estimate, sonar, turret_offset_rad, reading_in, count
         )
         if result.refusal is Refusal.NONE:
-            self._correlated.record(sonar, turret_offset_rad)
+            update.record_used(self._used, sonar, turret_offset_rad, count)
         self._compare(record, count, result.likelihood)
         if self._estimate is not None:
             self._watch(record, result)

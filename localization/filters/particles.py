@@ -25,7 +25,7 @@ from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.sonar_cone import ConeSonar, echo_probabilities, reflectors
 from localization.filters.sonar_ray import RangeNoise, RaySonar, constant_variance, range_variance
-from localization.filters.update import RANGE_PARAMETERS, CorrelatedReadings, UpdateResult, gate_code, result_of
+from localization.filters.update import RANGE_PARAMETERS, UpdateResult, gate_code, result_of
 from worlds.robots import Body
 
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
@@ -200,7 +200,7 @@ class ParticleFilter(Filter):
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._rng = likelihood, odometry, rng
         self._parameters = parameters or MonteCarlo(len(states))
-        self._monitor, self._correlated = IntegrityMonitor(), CorrelatedReadings()
+        self._monitor, self._used = IntegrityMonitor(), update.new_used()
 
     @property
     def belief(self) -> Belief:
@@ -222,7 +222,7 @@ class ParticleFilter(Filter):
         step = np.array((distance_in, turn_rad))
         noise = np.sqrt(step_variance(step, self._odometry)) * self._rng.standard_normal((len(self.states), 2))
         self.states = move(self.states, step + noise)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step without drawing: the step's variance is added to the Gaussian."""
@@ -243,8 +243,8 @@ class ParticleFilter(Filter):
         if not self._likelihood.is_range(reading_in):
             return UpdateResult(update.Refusal.LIMIT, 0.0, 0.0, 1.0)
         # 1. The information of a repeated reading.
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        self._correlated.record(sonar, turret_offset_rad)
+        count = update.count_used(self._used, sonar, turret_offset_rad) + 1
+        update.record_used(self._used, sonar, turret_offset_rad, count)
         power = self._likelihood.information(reading_in, count)
         # 2. Weights, the innovation before them, and the probability of an outlier.
         offset_in, scale = self.range_errors.tolist()
@@ -257,7 +257,8 @@ class ParticleFilter(Filter):
         self.weights /= self.weights.sum()
         # 3. Resampling.
         if self.effective < self._parameters.resample_threshold * len(self.states):
-            self._resample()
+            chosen = resample_low_variance(self.weights, float(self._rng.random()))
+            self.states, self.weights = self.states[chosen], np.full(len(chosen), 1.0 / len(chosen))
         result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0, 0.0))
         self._monitor.add(result)
         return result
@@ -277,11 +278,6 @@ class ParticleFilter(Filter):
             self.range_errors += K * innovation
             self._errors_cov -= np.outer(K, PHt)
         return innovation, nis
-
-    def _resample(self) -> None:
-        chosen = resample_low_variance(self.weights, float(self._rng.random()))
-        self.states = self.states[chosen]
-        self.weights = np.full(len(chosen), 1.0 / len(chosen))
 
 
 def weighted_innovation(weights: Floats, reading_in: float, at: Likelihoods) -> tuple[float, float]:

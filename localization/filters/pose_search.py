@@ -243,7 +243,8 @@ def moved(belief: Belief, last: Floats, then: Floats) -> Belief:
 def _replayed(last: Belief, records: Sequence[EchoRecord], replay: EchoReplay) -> tuple[Belief, float]:
     """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
     # What the encoders may have missed on the way back is added to its variance.
-    distance_in, turn_rad = _travelled(records)
+    steps = step_between(*(np.array([record.encoders for record in part]) for part in (records[:-1], records[1:])))
+    distance_in, turn_rad = np.abs(steps.reshape(-1, 2)).sum(axis=0).tolist()
     start = moved(last, records[-1].encoders, records[0].encoders)
     cov = start.cov.copy()
     drift_rad = replay.odometry.drift_std * distance_in**0.5 + replay.odometry.rotation_std * turn_rad**0.5
@@ -256,13 +257,6 @@ def _refined(peak: Belief, records: Sequence[EchoRecord], replay: EchoReplay) ->
     """Return `_replayed` from the heading of PEAK_TURNS_RAD that explains the records best."""
     starts = [Belief(add(peak.mean, np.array((0.0, 0.0, turn_rad))), peak.cov) for turn_rad in PEAK_TURNS_RAD]
     return max((_replayed(start, records, replay) for start in starts), key=lambda pair: pair[1])
-
-
-def _travelled(records: Sequence[EchoRecord]) -> tuple[float, float]:
-    """Return the length of the path of records, and the sum of their turns."""
-    steps = step_between(*(np.array([record.encoders for record in part]) for part in (records[:-1], records[1:])))
-    distance_in, turn_rad = np.abs(steps.reshape(-1, 2)).sum(axis=0).tolist()
-    return distance_in, turn_rad
 
 
 def _log_prior(belief: Belief, last: Floats, prior: Prior | None) -> float:
@@ -468,17 +462,14 @@ def alternatives(given: Belief, records: Sequence[EchoRecord], table: RangeTable
     for peak in _peaks(records, table):
         belief, score = _replayed(peak, records, replay)
         offset = difference(belief.mean, wide.mean)
-        near = bool(offset @ information @ offset <= SAME_SQUARED) or _may_have_slipped(offset)
+        may_have_slipped = np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD
+        near = bool(offset @ information @ offset <= SAME_SQUARED or may_have_slipped)
         if near not in best or score > best[near][1]:
             best[near] = belief, score
     # 3. Both sides are compared by the same echoes, replayed.
     lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, replay)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
     return Alternatives(near_by, elsewhere, lead)
-
-
-def _may_have_slipped(offset: Floats) -> bool:
-    return bool(np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD)
 
 
 # 4. Searches as the filter starts them.

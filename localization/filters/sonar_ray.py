@@ -421,7 +421,7 @@ def update_by_ray(
     mount
         The sonar, its direction from the heading.
     count
-        Number of this reading among those from the same pose (`CorrelatedReadings`).
+        Number of this reading among those from the same pose (`update.count_used`).
     _outlier_fraction
         Of no use: outliers do not correct at all.
     """

@@ -480,7 +480,7 @@ def pda_update(
     Parameters
     ----------
     count
-        Number of this reading among those from the same pose (`CorrelatedReadings`): later ones correct by what they
+        Number of this reading among those from the same pose (`count_used`): later ones correct by what they
         add, but are associated like the first.
     outlier_fraction
         Of the last readings. While most fit, a probable outlier is of something that the map does not have and that is
@@ -555,8 +555,14 @@ OUTLIER_MEMORY: Final = 16.0
 """Readings over which it is the mean, with exponential weights: those of a round of the ring."""
 
 
+def new_used(sonars: int = MAX_SONARS, *, as_array: bool = False) -> Used:
+    """Return the rows before the first reading, as an array for compiled code."""
+    rows = [[0.0] * 4 for _ in range(sonars + 1)]
+    return np.array(rows) if as_array else rows
+
+
 def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
-    """Take note of a step of the encoders."""
+    """Take note of a step of the encoders, from which alone it follows that the robot stands."""
     so_far = used[-1]
     so_far[TRAVEL] += abs(distance_in)
     so_far[TURN] += turn_rad
@@ -586,48 +592,6 @@ def count_outlier(used: Used, outlier_probability: float) -> None:
     """Take note of a range that was an outlier with this probability."""
     so_far = used[-1]
     so_far[OUTLIERS] += (outlier_probability - so_far[OUTLIERS]) / OUTLIER_MEMORY
-
-
-class CorrelatedReadings:
-    """Count the used readings of each sonar from the pose where the robot stands, by odometry alone.
-
-    Parameters
-    ----------
-    sonars
-        Number of sonars.
-    as_array
-        Store the rows of `used` in an array, as compiled code takes them, instead of lists.
-    """
-
-    def __init__(self, sonars: int = MAX_SONARS, *, as_array: bool = False) -> None:
-        rows = [[0.0] * 4 for _ in range(sonars + 1)]
-        self.used: Used = np.array(rows) if as_array else rows
-        self._so_far: Sequence[float] | Floats = self.used[-1]
-
-    def move(self, distance_in: float, turn_rad: float) -> None:
-        """Take note of a step of the encoders."""
-        move_on(self.used, distance_in, turn_rad)
-
-    def count(self, sonar: int, turret_offset_rad: float) -> int:
-        """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
-        return count_used(self.used, sonar, turret_offset_rad)
-
-    @property
-    def outlier_fraction(self) -> float:
-        """The recent fraction of outliers among ranges."""
-        return float(self._so_far[OUTLIERS])
-
-    def count_outlier(self, outlier_probability: float) -> None:
-        """Take note of a range that was an outlier with this probability."""
-        count_outlier(self.used, outlier_probability)
-
-    def forget_outliers(self) -> None:
-        """Begin the recent fraction anew."""
-        self.used[-1][OUTLIERS] = 0.0
-
-    def record(self, sonar: int, turret_offset_rad: float) -> None:
-        """Count one more reading as used."""
-        record_used(self.used, sonar, turret_offset_rad, self.count(sonar, turret_offset_rad) + 1)
 
 
 class MeasurementUpdate:
