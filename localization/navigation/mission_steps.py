@@ -237,7 +237,12 @@ def parse_program(text: str, file: str) -> MissionSpec:
 
     def run(robot: Mission) -> None:
         try:
-            _require_no_coroutine(act(robot), file)
+            result = act(robot)
+            # Nothing of a coroutine that is returned without awaiting it was done.
+            if inspect.iscoroutine(result):
+                result.close()
+                expected = "expected mission(robot) to be done when it returns"
+                raise MissionFileError(f"{file}: {expected}, found a coroutine")
         except MissionFileError as error:
             raise MissionFileError(_with_program_line(error, file)) from error
         except (NomadError, TerminatedBySignal):
@@ -272,13 +277,6 @@ _REJECTED_KINDS: dict[str, Callable[[object], bool]] = {
     "an asynchronous generator": inspect.isasyncgenfunction,
     "a generator: it has a yield": inspect.isgeneratorfunction,
 }
-
-
-def _require_no_coroutine(result: object, file: str) -> None:
-    """Reject a coroutine returned without awaiting it: nothing of it was done."""
-    if inspect.iscoroutine(result):
-        result.close()
-        raise MissionFileError(f"{file}: expected mission(robot) to be done when it returns, found a coroutine")
 
 
 def _with_program_line(error: BaseException, file: str) -> str:

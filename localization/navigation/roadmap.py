@@ -588,10 +588,7 @@ class Planner:
         self.walls = np.asarray(walls, dtype=np.float64).reshape(-1, 4)
         self.body_in = body_in
         self._ends = WallEnds(self.walls, body_in + MARGINS_IN[-1])
-        self._roadmap = cache(self._build_roadmap)
-
-    def _build_roadmap(self, margin_in: float) -> Roadmap:
-        return Roadmap(self.walls, self.body_in + margin_in, self._ends)
+        self._roadmap = cache(lambda margin_in: Roadmap(self.walls, body_in + margin_in, self._ends))
 
     def plan(
         self, start: Point, goal: Point, obstacles: Floats | None = None, min_margin_in: float = 0.0
