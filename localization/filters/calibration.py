@@ -139,9 +139,8 @@ def _is_flat(likelihood: Floats) -> bool:
     return float(likelihood.max() - likelihood.min()) <= SIMILAR * float(likelihood.max())
 
 
-def _likelihood(
-    candidates: list[EchoCandidate], densities: dict[int, float], sonar: ConeSonar, reading: AimReading
-) -> float:
+def _likelihood(candidates: list[EchoCandidate], densities: dict[int, float], sonar: ConeSonar,
+                reading: AimReading) -> float:
     """Return p(reading | candidates). `densities` caches those by reflector, which hold for all offsets."""
     inlier = 1.0 - sonar.outlier_probability
     if reading.reading_in >= sonar.highest_in:
@@ -233,10 +232,8 @@ class CalibratingFilter(Filter):
         if found.refusal is not Refusal.NONE:
             return UpdateResult(found.refusal, 0.0, 0.0, 1.0)
         # 3. Their derivatives by the long state.
-        association = found._replace(
-            H=[_long_derivative(H, sonar, len(x)) for H in found.H],
-            R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in],
-        )
+        association = found._replace(H=[_long_derivative(H, sonar, len(x)) for H in found.H],
+                                     R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in])
         # 4. The gate of rays, which have no outliers, and the update.
         if not association.outlier_probability:
             (first,) = update.linear(x, P, range_in, association, association.R)

@@ -92,11 +92,9 @@ class KalmanFilter(Filter):
     TAKES_RINGS: ClassVar[bool] = True
     """False: a subclass needs every prediction of its own."""
 
-    def __init__(
-        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
-        prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
+                 middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None) -> None:  # fmt: skip
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.
@@ -164,9 +162,8 @@ class KalmanFilter(Filter):
         """
         self._signs = None
         count, outlier_fraction = update.count_used(self._used, sonar, turret_offset_rad) + 1, self._used[-1][OUTLIERS]
-        result = self._measurement.apply(
-            self._x, self._P, sonar, turret_offset_rad, reading_in, count, outlier_fraction
-        )
+        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count,
+                                         outlier_fraction)
         if result.refusal is Refusal.NONE:
             update.record_used(self._used, sonar, turret_offset_rad, count)
         if result.refusal in (Refusal.NONE, Refusal.GATE):
@@ -180,9 +177,8 @@ class KalmanFilter(Filter):
                 odometry.widen_by_slip(self._x, self._P, slip_in)
         return result
 
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
+    def process(self, encoders: EncoderRow, poses: Sequence[EncoderRow],
+                echoes: Sequence[NewEcho]) -> Sequence[Outcome]:
         """Predict to the instant of each echo and update; see `Filter.process`."""
         if not self._direct:
             outcomes = super().process(encoders, poses, echoes)
@@ -191,9 +187,8 @@ class KalmanFilter(Filter):
             return outcomes
         return self.advance(encoders, poses, echoes, 0.0)[0]
 
-    def advance(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
-    ) -> Advance:
+    def advance(self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho],
+                clock_std_s: float) -> Advance:
         """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
         if not self._config:
             return super().advance(encoders, poses, echoes, clock_std_s)
@@ -231,10 +226,8 @@ class KalmanFilter(Filter):
         nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, health.slip_probability(self._monitor.slip_sums)
         scale = float(self._x[-1]) if self._has_scale else 0.0
         x, P = unpack(self.belief)
-        odometry.widen_prediction(
-            x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in, slipped_in2,
-            self._predict,
-        )  # fmt: skip
+        odometry.widen_prediction(x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in,
+                                  slipped_in2, self._predict)  # fmt: skip
         return pack(x, P)
 
     def roll_on_spot(self, distance_in: float) -> None:

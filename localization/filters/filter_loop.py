@@ -80,10 +80,8 @@ class StateInput(NamedTuple):
     detects_slips: bool
 
 
-def filter_state(
-    memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome], mean: State,
-    cov: Covariance,
-) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
+def filter_state(memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome],
+                 mean: State, cov: Covariance) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
     """Filter by all echoes of a state of the robot, and predict from the last one to the state.
 
     `compiled` compiles this function with all that it calls.
@@ -106,9 +104,8 @@ def filter_state(
     poses = state.poses
     # 1. Predict to each echo, and correct by it.
     tested = slip_sums if state.detects_slips else slip_sums[:0]
-    outcomes, encoders = filter_ring(
-        x, P, used, tested, state.encoders, poses, state.echoes, config.noise, config.model, correct
-    )
+    outcomes, encoders = filter_ring(x, P, used, tested, state.encoders, poses, state.echoes, config.noise,
+                                     config.model, correct)
     # 2. The monitor judges by the outcomes of ranges; a slip of the wheels widens P.
     for refusal, _, nis, outlier_probability, _, _ in outcomes:
         if refusal in update.INFORMATIVE:
@@ -128,16 +125,14 @@ def filter_state(
     distance, turn = odometry.relative_step(encoders[1], encoders[2], encoders[3], now[1], now[2], now[3])
     _, _, nis_ratio, _, _, slipped_in2 = signs
     lag, scale = odometry.clock_lag(before, now, state.clock_std_s), x[-1] if config.model.range_parameters > 0 else 0.0
-    odometry.widen_prediction(
-        mean, cov, distance, turn, config.noise, nis_ratio, lag, scale, config.middle, slipped_in2, predict_state
-    )
+    odometry.widen_prediction(mean, cov, distance, turn, config.noise, nis_ratio, lag, scale, config.middle,
+                              slipped_in2, predict_state)
     return outcomes, encoders, signs
 
 
-def filter_ring(
-    x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow, poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel, correct: Callable[..., Outcome],
-) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
+def filter_ring(x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow,
+                poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel,
+                correct: Callable[..., Outcome]) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
     """Filter x, P by all echoes of a ring in order of time, in place; return their outcomes and the last encoders.
 
     This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists.
@@ -187,9 +182,8 @@ def filter_ring(
     return outcomes, encoders
 
 
-def filter_config(
-    noise: OdometryNoise, model: DirectModel, limits: HealthLimits, middle: tuple[float, float] = (0.0, 0.0)
-) -> FilterConfig:
+def filter_config(noise: OdometryNoise, model: DirectModel, limits: HealthLimits,
+                  middle: tuple[float, float] = (0.0, 0.0)) -> FilterConfig:
     """Return the configuration for `filter_state`, with the limits of the monitor."""
     max_totals = health.nis_limits(limits.nis_probability, limits.window)
     return FilterConfig(noise, model, limits.slip_nats, max_totals, middle)

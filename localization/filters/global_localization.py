@@ -69,9 +69,8 @@ class SequentialTest:
     Wald, Sequential tests of statistical hypotheses (1945); Ville, Etude critique de la notion de collectif (1939).
     """
 
-    def __init__(
-        self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
-    ) -> None:  # fmt: skip
+    def __init__(self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate,
+                 odometry: OdometryNoise) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         beliefs = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
         self._beliefs = {side: belief for side, belief in beliefs.items() if belief is not None}
@@ -170,11 +169,9 @@ class GlobalLocalizer(Filter):
         Poses (3,) that look like that of the belief; they stay beside the estimate until readings exclude them.
     """
 
-    def __init__(
-        self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise, poses: PoseSearch,
-        sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
-        monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = (),
-    ) -> None:  # fmt: skip
+    def __init__(self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 poses: PoseSearch, sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
+                 monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = ()) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         self._replay = pose_search.EchoReplay(measurement, odometry)
         self._replay.load()
@@ -263,9 +260,7 @@ class GlobalLocalizer(Filter):
         update.move_on(self._used, distance_in, turn_rad)
         if self._estimate is not None:
             self._estimate = predict(self._estimate, step, self._odometry)
-            self._alike = [
-                Place(predict(each.belief, step, self._odometry), each.probability) for each in self._alike
-            ]
+            self._alike = [Place(predict(each.belief, step, self._odometry), each.probability) for each in self._alike]
         if self._test:
             self._test.predict(distance_in, turn_rad)
 
@@ -287,9 +282,7 @@ class GlobalLocalizer(Filter):
             self._since.append(record)
         # 2. Correct and monitor the estimate.
         count = update.count_used(self._used, sonar, turret_offset_rad) + 1
-        self._estimate, result = self._measurement.updated(
-            self._estimate, sonar, turret_offset_rad, reading_in, count
-        )
+        self._estimate, result = self._measurement.updated(self._estimate, sonar, turret_offset_rad, reading_in, count)
         if result.refusal is Refusal.NONE:
             update.record_used(self._used, sonar, turret_offset_rad, count)
         self._compare(record, count, result.likelihood)
@@ -303,9 +296,8 @@ class GlobalLocalizer(Filter):
         """Weigh the poses that look like the estimate by an echo, against the estimate."""
         beside = []
         for each in self._alike:
-            belief, result = self._measurement.updated(
-                each.belief, record.sonar, record.turret_offset_rad, record.reading_in, count
-            )
+            belief, result = self._measurement.updated(each.belief, record.sonar, record.turret_offset_rad,
+                                                       record.reading_in, count)
             weight = each.probability * (result.likelihood / likelihood) ** pose_search.EVIDENCE_SHARE
             if weight >= ALIKE_WEIGHT * pose_search.MIN_WEIGHT:
                 beside.append(Place(belief, weight))

@@ -92,10 +92,8 @@ class RayLikelihood(Likelihood):
         z_rand: fraction of readings spread over all ranges.
     """
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
-        widen_std_in: float = 0.5,
-    ) -> None:  # fmt: skip
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
+                 widen_std_in: float = 0.5) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
         self._walls, self._sonar, self._outlier_probability = sonar_ray.wall_map(walls), sonar, outlier_probability
 
@@ -122,10 +120,8 @@ class ConeLikelihood(Likelihood):
         Blur of the edge of the cone.
     """
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
-        widen_std_in: float = 0.5,
-    ) -> None:  # fmt: skip
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
+                 widen_std_in: float = 0.5) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
         self._around, self._sonar = reflectors(sonar_ray.wall_map(walls).segments), sonar
         self._heading_std = np.array(heading_std_rad)
@@ -188,11 +184,9 @@ class ParticleFilter(Filter):
         Middle of the map, about which its scale may be wrong.
     """
 
-    def __init__(
-        self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
-        parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0),
-    ) -> None:  # fmt: skip
+    def __init__(self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
+                 parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
+                 middle_in: tuple[float, float] = (0.0, 0.0)) -> None:  # fmt: skip
         self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
         """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
         self._middle_in = np.array(middle_in)

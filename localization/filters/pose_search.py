@@ -131,9 +131,8 @@ class EchoReplay:
         nats = sum(log(likelihood) for _, _, _, _, likelihood, _ in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
-    def _outcomes(
-        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
-    ) -> list[Outcome]:
+    def _outcomes(self, x: list[float], P: list[list[float]], before: Floats,
+                  records: Sequence[EchoRecord]) -> list[Outcome]:
         """Filter x, P along records in place, and return the outcome of each."""
         # The number of a record is its instant, so a ring's poses are looked up and not interpolated.
         direct, outcomes = self._direct, list[Outcome]()
@@ -150,9 +149,8 @@ class EchoReplay:
                 state = StateInput(at, poses, echoes, 0.0, detects_slips=False)
                 outcomes += self._compiled.filter(memory, state, POSE)[0]
             else:
-                outcomes += filter_ring(
-                    x, P, memory.used, [], at, poses, echoes, self.odometry, direct, direct.update
-                )[0]
+                outcomes += filter_ring(x, P, memory.used, [], at, poses, echoes, self.odometry, direct,
+                                        direct.update)[0]
             at = poses[-1]
         return outcomes
 
@@ -160,10 +158,8 @@ class EchoReplay:
 # 1. All poses.
 
 
-def search(
-    records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
-    others: Sequence[Place] = (), prior: Prior | None = None,
-) -> list[Place]:  # fmt: skip
+def search(records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
+           others: Sequence[Place] = (), prior: Prior | None = None) -> list[Place]:  # fmt: skip
     """Return all poses that explain the records, the most probable first; none without records or floor.
 
     A symmetric map gives as many hypotheses as it has places that look alike.
@@ -204,9 +200,8 @@ def search(
     return merged([*((other.belief, log(other.probability)) for other in others), *new])
 
 
-def advanced(
-    hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
-) -> list[Place]:
+def advanced(hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord],
+             replay: EchoReplay) -> list[Place]:
     """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
     replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
     return merged(
@@ -326,9 +321,7 @@ def _shifts(record: EchoRecord, last: EchoRecord) -> tuple[Floats, Floats, Numbe
     return dx, dy, directions
 
 
-def _coarse(
-    chosen: Weighed, last: EchoRecord, table: RangeTable, prior: Prior | None
-) -> tuple[Numbers, Numbers]:
+def _coarse(chosen: Weighed, last: EchoRecord, table: RangeTable, prior: Prior | None) -> tuple[Numbers, Numbers]:
     """Return places and rows of HEADINGS_RAD (k,) of the best coarse poses, the best first."""
     # 1. Sum of log likelihoods; readings are independent given the pose.
     places = table.coarse_places
@@ -382,9 +375,8 @@ def _fine(place: Numbers, row: Numbers, chosen: Weighed, last: EchoRecord, table
     return total
 
 
-def _log_density(
-    place: Numbers, row: Numbers, last: EchoRecord, table: RangeTable, prior: Prior | None, cells: int = 1
-) -> Floats:
+def _log_density(place: Numbers, row: Numbers, last: EchoRecord, table: RangeTable, prior: Prior | None,
+                 cells: int = 1) -> Floats:
     """Return the log densities (n,) of poses at places with headings of these rows, by what was known before.
 
     A place stands for a square of so many cells.
@@ -539,10 +531,8 @@ class TableSearch:
 
     progress = ""
 
-    def __init__(
-        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
-        store: Callable[[RangeTable], None] = lambda _: None,
-    ) -> None:  # fmt: skip
+    def __init__(self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 store: Callable[[RangeTable], None] = lambda _: None) -> None:  # fmt: skip
         self._build, self._replay, self._store = table, EchoReplay(measurement, odometry), store
 
     @cached_property
@@ -657,9 +647,8 @@ def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -
     closest, inlier = np.full((*x_in.shape, x_in.shape[1], len(sonars)), np.inf), 1.0 - OUTLIER_PROBABILITY
     range_in, probability = table.look_up(x_in[..., None], y_in[..., None], rows % DIRECTIONS)
     for dx, dy in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        beside_in, beside = table.look_up(
-            x_in[..., None] + dx * side_in, y_in[..., None] + dy * side_in, rows % DIRECTIONS
-        )
+        beside_in, beside = table.look_up(x_in[..., None] + dx * side_in, y_in[..., None] + dy * side_in,
+                                          rows % DIRECTIONS)
         # The overlap of two Gaussians, each as wide as a cell, and of the rest.
         apart = (range_in[:, :, None] - beside_in[:, None]) / side_in
         one, other = inlier * probability[:, :, None], inlier * beside[:, None]

@@ -136,10 +136,8 @@ PLACE_VAR_IN2: Final = 0.02
 
 def ray_sonar(ring: Ring) -> RaySonar:
     """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
-    return RaySonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2, lowest_in=ring.min_range_in,
-        highest_in=ring.max_range_in,
-    )  # fmt: skip
+    return RaySonar(rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2,
+                    lowest_in=ring.min_range_in, highest_in=ring.max_range_in)  # fmt: skip
 
 
 WIRE_SONAR = ray_sonar(NOMAD)
@@ -235,10 +233,8 @@ def row_from(x: Number, y: Number, direction: Number, left_in: float, walls: Wal
     return nearest(x - left_in * dy, y + left_in * dx, dx, dy, walls)[1]
 
 
-def only_wall(
-    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
-    left_in: float = 0.0,
-) -> int:  # fmt: skip
+def only_wall(x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
+              left_in: float = 0.0) -> int:  # fmt: skip
     """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
 
     These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
@@ -304,9 +300,8 @@ class BeamPrediction(NamedTuple):
     refusal: Any
 
 
-def intersect_line(
-    x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number], left_in: float = 0.0
-) -> tuple[Number, tuple[Number, Number, Number], Number]:
+def intersect_line(x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number],
+                   left_in: float = 0.0) -> tuple[Number, tuple[Number, Number, Number], Number]:
     """Return distance, derivative and cosine of incidence of a ray from (x, y) along (dx, dy) to a line.
 
     Parameters
@@ -335,9 +330,8 @@ def intersect_line(
     return distance, H, cosine
 
 
-def sideways_shift(
-    P: Sequence[Sequence[Number]], dx: Number, dy: Number, distance: Number, sigmas: float
-) -> tuple[Number, Number, Number]:
+def sideways_shift(P: Sequence[Sequence[Number]], dx: Number, dy: Number, distance: Number,
+                   sigmas: float) -> tuple[Number, Number, Number]:
     """Return the change of the pose, `sigmas` standard deviations, that moves the end of a beam farthest sideways.
 
     With g = (-dy, dx, distance), the derivative of the sideways motion by the pose, that is sigmas P g / sqrt(g^T P g):
@@ -352,10 +346,8 @@ def sideways_shift(
     return scale * Pg_x, scale * Pg_y, scale * Pg_heading
 
 
-def predict_beam(
-    x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap, gate: Gate,
-    left_in: float = 0.0,
-) -> BeamPrediction:  # fmt: skip
+def predict_beam(x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap,
+                 gate: Gate, left_in: float = 0.0) -> BeamPrediction:  # fmt: skip
     """Return the expected reading of beams at `angle_rad` from the heading.
 
     Parameters
@@ -389,9 +381,7 @@ def predict_beam(
     reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
     shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
     ambiguous = row_from(x_in + shift_x, y_in + shift_y, direction + shift_heading, left_in, walls) != row
-    ambiguous = ambiguous | (
-        row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
-    )
+    ambiguous = ambiguous | (row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row)
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
     refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, update.GRAZING)
     refusal = choose(ambiguous | (cosine != cosine), update.AMBIGUOUS_WALL, refusal)
@@ -410,10 +400,8 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 # One reading of a live robot.
 
 
-def update_by_ray(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
-    _outlier_fraction: float = 1.0,
-) -> Outcome:  # fmt: skip
+def update_by_ray(x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
+                  _outlier_fraction: float = 1.0) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
     Parameters
@@ -457,16 +445,14 @@ class RayModel(DirectModel):
 
     noise: RaySonar
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
-    ) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT,
+                 range_parameters: int = 0) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
         self.mounts = body.ring.mounts
         self.update, self.range_parameters = update_by_ray, range_parameters
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
         mount = update.mount_at(self.mounts, sonar, turret_offset_rad)
         # A trial update of a copy, so that all rules refuse the same readings.
@@ -475,12 +461,10 @@ class RayModel(DirectModel):
             return Association(update.REFUSALS[refusal], likelihood)
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
         expected_in, H = update.expected_reading(x, beam.range_in, beam.H, self.range_parameters)
-        return Association(
-            Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
-            [constant_variance(self.noise, beam.range_in)], [1.0],
-            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
-            range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in,
-        )  # fmt: skip
+        return Association(Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
+                           [constant_variance(self.noise, beam.range_in)], [1.0],
+                           partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
+                           range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in)  # fmt: skip
 
 
 def _ranges_to_line(mount: SonarMount, line: Sequence[float], poses: Floats) -> tuple[Floats, Floats]:
@@ -548,10 +532,8 @@ def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPredic
     return BeamPrediction(row, distance - mount.ring_in, H, refusal)
 
 
-def observe_ring(
-    belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap, sonar: RaySonar,
-    gate: Gate = STRICT,
-) -> Observation:  # fmt: skip
+def observe_ring(belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap,
+                 sonar: RaySonar, gate: Gate = STRICT) -> Observation:  # fmt: skip
     """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs over poses (..., 3)."""
     # 1. The expected readings; elements of the belief get a dimension for the beams.
     x, P = unpack(Belief(belief.mean[..., None, :], belief.cov[..., None, :, :]))
@@ -566,6 +548,5 @@ def observe_ring(
     # 3. Beams left out change nothing.
     used = refusals == NONE
     H = np.stack(np.broadcast_arrays(*beams.H), axis=-1)
-    return Observation(
-        np.where(used, innovation, 0.0), np.where(used[..., None], H, 0.0), np.where(used, R, 1.0), refusals
-    )
+    return Observation(np.where(used, innovation, 0.0), np.where(used[..., None], H, 0.0), np.where(used, R, 1.0),
+                       refusals)

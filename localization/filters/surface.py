@@ -78,9 +78,8 @@ class SurfaceModel:
         self._x, self._y = self._x + distance_in * cosine, self._y + distance_in * sine
         self._heading = wrap_angle(self._heading + turn_rad)
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return two hypotheses for each reflector that may return the first echo: on the same level, on a new one.
 
         A reading that fits no reflector is refused with NO_WALL where probably no wall is detected: real buildings are
@@ -117,10 +116,8 @@ class SurfaceModel:
         of_walls = sum(one.probability for one in candidates if one.reflector < self._walls)
         if nearest_nis >= MAX_NIS and of_walls < update.OUTLIER_THRESHOLD:
             return Association(update.Refusal.NO_WALL, noise.outlier_density)
-        return Association(
-            update.Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances), probabilities, None,
-            noise.outlier_probability, noise.outlier_density,
-        )  # fmt: skip
+        return Association(update.Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances),
+                           probabilities, None, noise.outlier_probability, noise.outlier_density)  # fmt: skip
 
     def merge(self, x: State, P: Covariance, corrections: Sequence[update.Correction], beta: Sequence[float]) -> None:
         """Replace x and P by the mean and covariance of the mixture of all hypotheses, in place.

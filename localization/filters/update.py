@@ -176,9 +176,8 @@ class Association(NamedTuple):
 class MeasurementModel(Protocol):
     """A kind of sonar, on a map, on a robot body."""
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return what sonar number `sonar` may have measured, the turret turned by so much against the heading."""
 
 
@@ -287,9 +286,8 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     return [value / S for value in PHt], S
 
 
-def pose_gain(
-    P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number
-) -> tuple[tuple[Number, Number, Number], Number]:
+def pose_gain(P: Sequence[Sequence[Number]], H: Sequence[Number],
+              R: Number) -> tuple[tuple[Number, Number, Number], Number]:
     """Return `kalman_gain` for a state that is a pose, without lists: they cost compiled code more than the numbers."""
     a, b, c = H[0], H[1], H[2]
     of_x, of_y, of_heading = P[0], P[1], P[2]
@@ -363,9 +361,8 @@ def linear(
     return corrections
 
 
-def iterated(
-    x: State, P: Covariance, reading_in: float, association: Association, variances: Sequence[float]
-) -> list[Correction]:
+def iterated(x: State, P: Covariance, reading_in: float, association: Association,
+             variances: Sequence[float]) -> list[Correction]:
     """Return the corrections of the iterated extended Kalman filter: the derivative at the most likely state.
 
     Gauss-Newton from x, all hypotheses at once; a step that makes the state less likely is not taken:
@@ -444,9 +441,8 @@ class PdaResult(NamedTuple):
     best: int
 
 
-def association_probabilities(
-    association: Association, corrections: Sequence[Correction]
-) -> tuple[list[float], float, int]:
+def association_probabilities(association: Association,
+                              corrections: Sequence[Correction]) -> tuple[list[float], float, int]:
     """Return beta, likelihood and best of `PdaResult`: prior probability times likelihood, normalised.
 
     An echo of none of the reflectors is an outlier as well.
@@ -468,10 +464,8 @@ def association_probabilities(
     return beta, likelihood, best
 
 
-def pda_update(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1,
-    outlier_fraction: float = 1.0,
-) -> PdaResult:  # fmt: skip
+def pda_update(x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear,
+               count: int = 1, outlier_fraction: float = 1.0) -> PdaResult:  # fmt: skip
     """Correct x and P by a reading that is of one of k reflectors or an outlier, in place.
 
     The result is the Gaussian with the mean and covariance of the mixture of all hypotheses. With one hypothesis and no
@@ -613,10 +607,8 @@ class MeasurementUpdate:
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the robot, for a model that relates echoes to earlier ones."""
 
-    def apply(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
-        outlier_fraction: float = 1.0,
-    ) -> UpdateResult:  # fmt: skip
+    def apply(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
+              outlier_fraction: float = 1.0) -> UpdateResult:  # fmt: skip
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
         Parameters
@@ -640,19 +632,16 @@ class MeasurementUpdate:
         outcome = update_by_association(x, P, reading_in, association, self._rule, count, outlier_fraction)
         return result_of(outcome)
 
-    def updated(
-        self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
-    ) -> tuple[Belief, UpdateResult]:
+    def updated(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float,
+                count: int = 1) -> tuple[Belief, UpdateResult]:
         """Return the belief after `apply`, and its result."""
         x, P = unpack(belief)
         outcome = self.apply(x, P, sonar, turret_offset_rad, reading_in, count)
         return pack(x, P), outcome
 
 
-def update_by_association(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
-    outlier_fraction: float = 1.0,
-) -> Outcome:  # fmt: skip
+def update_by_association(x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
+                          outlier_fraction: float = 1.0) -> Outcome:  # fmt: skip
     """Correct x and P by a reading and its hypotheses, in place."""
     c, s = unit_vector(x[HEADING])
     beta, likelihood, innovation_in, nis, best = pda_update(
