@@ -187,13 +187,12 @@ def score(runs: Sequence[Run], walls: Floats) -> CorridorScore:
     def rms(values: Floats) -> float:
         return float(np.sqrt((values**2).mean()))
 
-    return CorridorScore(
-        MM * rms(off), MM * rms(odometry), float((off**2 / np.einsum("i,kij,j->k", across, cov, across)).mean()),
-        MM * rms(errors[:, :2] @ along), degrees(rms(errors[:, HEADING])),
-        degrees(float(np.abs(errors[:, HEADING]).mean())), float(is_degraded.mean()),
-        float(is_degraded[is_right].mean()) if is_right.any() else 0.0,
-        sum(each is HealthStatus.LOST for each in status) / len(status),
-    )  # fmt: skip
+    return CorridorScore(MM * rms(off), MM * rms(odometry),
+                         float((off**2 / np.einsum("i,kij,j->k", across, cov, across)).mean()),
+                         MM * rms(errors[:, :2] @ along), degrees(rms(errors[:, HEADING])),
+                         degrees(float(np.abs(errors[:, HEADING]).mean())), float(is_degraded.mean()),
+                         float(is_degraded[is_right].mean()) if is_right.any() else 0.0,
+                         sum(each is HealthStatus.LOST for each in status) / len(status))  # fmt: skip
 
 
 CASES: Final = {"random walk": (0.0, 0.0, 0.0), "with scale, turn and drift": SYSTEMATIC}

@@ -83,9 +83,8 @@ def _worker_context() -> BaseContext:
     return context
 
 
-def on_cluster(
-    work: Callable[[Item], Result], items: Sequence[Item], address: str, code: Callable[[], object]
-) -> Iterator[Result]:
+def on_cluster(work: Callable[[Item], Result], items: Sequence[Item], address: str,
+               code: Callable[[], object]) -> Iterator[Result]:
     """Yield results of work on a Dask cluster.
 
     Parameters
@@ -168,9 +167,8 @@ class ResultCache(Generic[Item, Result]):
         numbers.
     """
 
-    def __init__(
-        self, folder: Path, code: str, result: Callable[..., Result], key: Callable[[Item], tuple[str, object]]
-    ) -> None:
+    def __init__(self, folder: Path, code: str, result: Callable[..., Result],
+                 key: Callable[[Item], tuple[str, object]]) -> None:
         self._folder, self._code, self._result, self._key = folder, code, result, key
 
     def path(self, item: Item) -> Path:
@@ -192,11 +190,9 @@ class ResultCache(Generic[Item, Result]):
         write_atomic(self.path(item), json.dumps(asdict(result)) + "\n", OutputFileError)  # type: ignore[call-overload]
 
 
-def run_cached(
-    items: Sequence[Item], cache: ResultCache[Item, Result],
-    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
-    is_current: Callable[[Item], bool] = lambda _: True,
-) -> dict[Item, Result]:  # fmt: skip
+def run_cached(items: Sequence[Item], cache: ResultCache[Item, Result],
+               work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
+               is_current: Callable[[Item], bool] = lambda _: True) -> dict[Item, Result]:  # fmt: skip
     """Return the results of all runs in order, from the cache (if `is_current`) or by `work`; store each at once."""
     cached = {item: result for item in items if (result := cache.get(item)) is not None and is_current(item)}
     results = dict(cached)
@@ -264,9 +260,8 @@ def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_batch(
-    figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *, is_compiled: bool = False
-) -> FigureResult:
+def drive_batch(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *,
+                is_compiled: bool = False) -> FigureResult:
     """Simulate a figure once per seed and return what summary and pictures need.
 
     `tick` is called with the steps done: after each step, in machine code at the end.
@@ -323,9 +318,8 @@ def _joined(parts: Iterable[FigureResult], tick: Tally) -> FigureResult:
     return join_results(sorted(done, key=lambda part: part.results[0].seed))
 
 
-def drive_on_cluster(
-    figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
-) -> FigureResult:
+def drive_on_cluster(figure: Figure, seeds: Sequence[int], address: str,
+                     report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
     is_compiled = _is_compiled(figure, seeds)
     parts = [seeds[first : first + _CLUSTER_BATCH] for first in range(0, len(seeds), _CLUSTER_BATCH)]
@@ -382,9 +376,8 @@ def table_of(names: Mapping[str, str], columns: Iterable[Column], rows: Iterable
     return text_table(lines)
 
 
-def write_results(
-    options: argparse.Namespace, name: str, values: Sequence[object], text: str, more: object = None
-) -> None:
+def write_results(options: argparse.Namespace, name: str, values: Sequence[object], text: str,
+                  more: object = None) -> None:
     """Write values, or `more`, to a JSON file in the folder of --out; print the values as text, or as JSON for --json.
 
     Other words go to stderr with --json.
@@ -409,9 +402,8 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     add_value(parser, "--seeds", "N", positive, f"number of runs per {unit} (default: 100)", 100)
     add_execution_options(parser)
     add_output(parser, out, unit)
-    parser.add_argument(
-        NO_PICTURES, dest="pictures", action="store_false", help="write no pictures; matplotlib is not needed"
-    )
+    parser.add_argument(NO_PICTURES, dest="pictures", action="store_false",
+                        help="write no pictures; matplotlib is not needed")
 
 
 def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
@@ -425,10 +417,8 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
     names = list(names)
     shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
     choices = ", ".join(names).replace("%", "%%")
-    parser.add_argument(
-        option, nargs="+" if isinstance(default, list) else None, choices=names, default=default, metavar="NAME",
-        help=f"{what}: {choices} (default: {shown})",
-    )  # fmt: skip
+    parser.add_argument(option, nargs="+" if isinstance(default, list) else None, choices=names, default=default,
+                        metavar="NAME", help=f"{what}: {choices} (default: {shown})")  # fmt: skip
 
 
 def add_execution_options(parser: argparse.ArgumentParser) -> None:
@@ -443,9 +433,8 @@ def add_execution_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def executor_for(
-    work: Callable[[Item], Result], options: argparse.Namespace
-) -> Callable[[Sequence[Item]], Iterator[Result]]:
+def executor_for(work: Callable[[Item], Result],
+                 options: argparse.Namespace) -> Callable[[Sequence[Item]], Iterator[Result]]:
     """Return the executor of work selected by the options of `add_execution_options`."""
     if options.cluster:
         return partial(on_cluster, work, address=options.cluster, code=code_hash)

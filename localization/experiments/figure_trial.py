@@ -149,14 +149,9 @@ def figure_setup(figure: Figure) -> FigureSetup:
     """Return the configuration of a figure: the N150's ring, its turret turning with the steering as in the thesis."""
     world = load_world(figure.world)
     path = world.paths[figure.name]
-    return FigureSetup(
-        start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
-        goals_in=np.array(path.goals_in, dtype=np.float64),
-        walls=sonar_ray.wall_map(world.walls),
-        body=N150,
-        gains=figure.gains,
-        filtered=figure.filtered,
-    )
+    return FigureSetup(start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
+                       goals_in=np.array(path.goals_in, dtype=np.float64), walls=sonar_ray.wall_map(world.walls),
+                       body=N150, gains=figure.gains, filtered=figure.filtered)
 
 
 _START, _MOTION, _SONAR = range(3)
@@ -293,15 +288,11 @@ def run_compiled(setup: FigureSetup, seeds: Sequence[int]) -> Runs:
     """
     drive_robots, trial = load_drive(), trial_of(setup)
     start, count, most = _start(setup, seeds), len(seeds), setup.max_steps
-    robots = Robots(
-        start.truth, start.belief.mean.copy(), start.belief.cov.copy(), start.bound.copy(),
-        start.leg.copy(), np.zeros(count, dtype=np.intp),
-    )  # fmt: skip
+    robots = Robots(start.truth, start.belief.mean.copy(), start.belief.cov.copy(), start.bound.copy(),
+                    start.leg.copy(), np.zeros(count, dtype=np.intp))  # fmt: skip
     poses, covariances = (most, count, 3), (most, count, 3, 3)
-    history = History(
-        np.zeros(poses), np.zeros(poses), np.zeros(covariances), np.zeros(covariances),
-        np.zeros((most, count)), np.zeros((most, count), dtype=np.intp),
-    )  # fmt: skip
+    history = History(np.zeros(poses), np.zeros(poses), np.zeros(covariances), np.zeros(covariances),
+                      np.zeros((most, count)), np.zeros((most, count), dtype=np.intp))  # fmt: skip
     is_moving = np.ones(count, dtype=np.bool_)
     for motion_error, sonar_error in draw_blocks(seeds, len(setup.body.sonar_angles_rad)):
         drive_robots(robots, history, motion_error, sonar_error, is_moving, trial)
@@ -460,26 +451,15 @@ def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> S
     error = difference(track.mean, track.truth)
     square = error[:, 0] ** 2 + error[:, 1] ** 2
     nis, used, bound = sums
-    return SeedResult(
-        seed=track.seed,
-        steps=len(error),
-        reached=reached,
-        end_error_in=math.sqrt(square[-1]),
-        position_in2=math.fsum(square),
-        heading_rad2=math.fsum(error[:, 2] ** 2),
-        nees=math.fsum(nees(error, track.cov)) if filtered else 0.0,
-        nis=nis,
-        used=used,
-        bound_in2=bound,
-    )
+    return SeedResult(seed=track.seed, steps=len(error), reached=reached, end_error_in=math.sqrt(square[-1]),
+                      position_in2=math.fsum(square), heading_rad2=math.fsum(error[:, 2] ** 2),
+                      nees=math.fsum(nees(error, track.cov)) if filtered else 0.0, nis=nis, used=used, bound_in2=bound)
 
 
 def join_results(parts: Sequence[FigureResult]) -> FigureResult:
     """Return the results of several batches as one, in the given order."""
-    return FigureResult(
-        tuple(result for part in parts for result in part.results),
-        tuple(track for part in parts for track in part.tracks),
-    )
+    return FigureResult(tuple(result for part in parts for result in part.results),
+                        tuple(track for part in parts for track in part.tracks))
 
 
 def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
@@ -568,9 +548,8 @@ def copy_row(row: Any, to: Any) -> None:
 def make_drive(sources: int) -> Drive:
     """Return the loop in Python; the checksum of what it calls is part of its key in numba's cache."""
 
-    def drive_robots(
-        robots: Any, history: Any, motion_error: Floats, sonar_error: Floats, is_moving: Any, trial: Any
-    ) -> None:
+    def drive_robots(robots: Any, history: Any, motion_error: Floats, sonar_error: Floats, is_moving: Any,
+                     trial: Any) -> None:
         """Drive n robots for k steps, in place, or to their last goals.
 
         Parameters
@@ -581,9 +560,8 @@ def make_drive(sources: int) -> Drive:
             (n,), overwritten: True for each that has a goal left and a row left in the history.
         """
         truth, mean, cov, bound, leg, steps = robots
-        goals, noise, sonar, gate, walls, angles_rad = (
-            trial.goals_in, trial.noise, trial.sonar, trial.gate, trial.walls, trial.angles_rad,
-        )  # fmt: skip
+        goals, noise, sonar, gate, walls, angles_rad = (trial.goals_in, trial.noise, trial.sonar, trial.gate,
+                                                        trial.walls, trial.angles_rad)  # fmt: skip
         count = len(angles_rad)
         # By beam; each is written before it is read. Lists: numba compiles `np.zeros` for seconds.
         H, is_used = [(0.0, 0.0, 0.0) for _ in range(count)], [False for _ in range(count)]
@@ -677,15 +655,10 @@ def load_drive() -> Drive:
 
 def trial_of(setup: FigureSetup) -> Trial:
     """Return a configuration as compiled code takes it."""
-    return Trial(
-        goals_in=np.ascontiguousarray(setup.goals_in, dtype=np.float64),
-        waypoint_radius_in=float(setup.waypoint_radius_in),
-        gains=compiled.row_of(GainsRow, setup.gains),
-        noise=compiled.row_of(compiled.NoiseRow, setup.noise),
-        sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
-        gate=compiled.row_of(compiled.GateRow, sonar_ray.STRICT),
-        threshold=sonar_ray.STRICT.threshold,
-        walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
-        angles_rad=np.ascontiguousarray(setup.angles_rad),
-        ring_in=float(setup.body.sonar_ring_radius_in),
-    )
+    return Trial(goals_in=np.ascontiguousarray(setup.goals_in, dtype=np.float64),
+                 waypoint_radius_in=float(setup.waypoint_radius_in), gains=compiled.row_of(GainsRow, setup.gains),
+                 noise=compiled.row_of(compiled.NoiseRow, setup.noise),
+                 sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
+                 gate=compiled.row_of(compiled.GateRow, sonar_ray.STRICT), threshold=sonar_ray.STRICT.threshold,
+                 walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
+                 angles_rad=np.ascontiguousarray(setup.angles_rad), ring_in=float(setup.body.sonar_ring_radius_in))

@@ -189,10 +189,8 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def collect(
-    requested: Sequence[Trial], cache: execution.ResultCache[Trial, TrialResult], paths: Path | None, work: Executor,
-    tally: execution.Tally,
-) -> dict[Trial, TrialResult]:  # fmt: skip
+def collect(requested: Sequence[Trial], cache: execution.ResultCache[Trial, TrialResult], paths: Path | None,
+            work: Executor, tally: execution.Tally) -> dict[Trial, TrialResult]:  # fmt: skip
     """Return the results of all trials in order, from the cache or by running them.
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.

@@ -218,10 +218,8 @@ def drive(case: Case) -> LostResult:
 class _Run:
     """A run in progress."""
 
-    def __init__(
-        self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats],
-        aliases: AliasFinder | None,
-    ) -> None:  # fmt: skip
+    def __init__(self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats],
+                 aliases: AliasFinder | None) -> None:  # fmt: skip
         self._robot, self._case, self._positions, self._aliases = robot, case, positions, aliases
         schedule, state = restart_ring(robot, N150.ring)
         assert state.clock_s is not None
@@ -240,9 +238,8 @@ class _Run:
             initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
         # 3. Filter, outliers and controller, each with its own random stream of the seed.
         clearance = N150.radius_in
-        config = LocalizationConfig(
-            world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
-        )
+        config = LocalizationConfig(world.walls, N150, case.scenario.odometry, case.scenario.sonar,
+                                    clearance_in=clearance)
         self._filter = finder(config, initial, case.scenario.constants, cached_search(config))
         self._localizer = Localizer(config, self._filter.belief, schedule, self._filter)
         self._outliers = BadReadings(case.scenario.outlier_fraction, schedule, np.random.default_rng([case.seed, BAD]))
@@ -364,9 +361,8 @@ class _Run:
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
 
-    def _outcome(
-        self, lost_after_s: float | None = None, found_after_s: float | None = None, right: bool = False
-    ) -> LostResult:
+    def _outcome(self, lost_after_s: float | None = None, found_after_s: float | None = None,
+                 right: bool = False) -> LostResult:
         rmse = float(np.sqrt(np.mean(self._squares))) if self._squares else None
         degraded = self._degraded / self._polls if self._polls else 0.0
         return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
@@ -530,16 +526,11 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
     # 3. Numbers of starts that look like others, and of the probabilities that are stated meanwhile.
     unique = [result for result in results if not result.alike]
     stated = [instant for result in results for instant in result.stated]
-    return replace(
-        summary,
-        alike=len(results) - len(unique),
-        unique_found=sum(result.found_after_s is not None and result.right for result in unique),
-        early=sum(result.is_early for result in results),
-        brier=brier_score(stated),
-        brier_expected=expected_brier_score(stated),
-        brier_std=brier_excess_std([result.stated for result in results]),
-        reliability=reliability(stated),
-    )
+    return replace(summary, alike=len(results) - len(unique),
+                   unique_found=sum(result.found_after_s is not None and result.right for result in unique),
+                   early=sum(result.is_early for result in results), brier=brier_score(stated),
+                   brier_expected=expected_brier_score(stated),
+                   brier_std=brier_excess_std([result.stated for result in results]), reliability=reliability(stated))
 
 
 Stated = Sequence[Sequence[tuple[float, bool]]]
@@ -737,10 +728,8 @@ def _parser() -> argparse.ArgumentParser:
         "kinds", nargs="*", type=_kind, default=[kind for kind in Kind if kind not in GIVEN], metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",
     )  # fmt: skip
-    parser.add_argument(
-        "--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
-        help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
-    )  # fmt: skip
+    parser.add_argument("--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
+                        help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})")
     execution.add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
     add_value(parser, "--runs --seeds", "N", execution.positive, f"number of runs of each kind (default: {numbers})")

@@ -64,18 +64,13 @@ from worlds.world import Polygon, StartPose, World
 Point = tuple[float, float]
 
 TOURS: Final[dict[str, tuple[Point, ...]]] = {
-    "thesis_room": (
-        (60, 40), (84, 84), (6, 84), (6, 6), (84, 6), (84, 84), (45, 45), (6, 45), (60, 10), (84, 45), (20, 84), (0, 0),
-        (45, 20), (84, 20), (84, 70), (30, 70),
-    ),
-    "several_walls": (
-        (30, 20), (35, 6), (32, 22), (-1, 24), (32, 24), (35, 56), (-1, 56), (4, 84), (44, 86), (44, 60), (76, 58),
-        (76, 86), (86, 42), (64, 42), (63, 6), (86, 6), (63, 8), (63, 42), (40, 55), (0, 57), (20, 70),
-    ),
-    "centre_vertex": (
-        (10, 60), (84, 60), (80, 6), (70, 20), (84, 84), (45, 45), (6, 84), (24, 30), (14, 4), (6, 45), (60, 60),
-        (84, 70), (84, 20), (50, 45), (30, 50), (20, 20),
-    ),
+    "thesis_room": ((60, 40), (84, 84), (6, 84), (6, 6), (84, 6), (84, 84), (45, 45), (6, 45), (60, 10), (84, 45),
+                    (20, 84), (0, 0), (45, 20), (84, 20), (84, 70), (30, 70)),
+    "several_walls": ((30, 20), (35, 6), (32, 22), (-1, 24), (32, 24), (35, 56), (-1, 56), (4, 84), (44, 86), (44, 60),
+                      (76, 58), (76, 86), (86, 42), (64, 42), (63, 6), (86, 6), (63, 8), (63, 42), (40, 55), (0, 57),
+                      (20, 70)),
+    "centre_vertex": ((10, 60), (84, 60), (80, 6), (70, 20), (84, 84), (45, 45), (6, 84), (24, 30), (14, 4), (6, 45),
+                      (60, 60), (84, 70), (84, 20), (50, 45), (30, 50), (20, 20)),
 }  # fmt: skip
 """Waypoints along all walls and past all vertices; at most 300 s of driving."""
 LONG_TOURS: Final[dict[str, tuple[Point, ...]]] = {
@@ -306,9 +301,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
     mappers: list[_TimedMapper] = []
 
     def mapper_of(collector: measurements.DriveCollector) -> LiveMapper:
-        mappers.append(
-            _TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None)
-        )
+        mappers.append(_TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None))
         return mappers[-1]
 
     source = _source_of(trial.world, folder)
@@ -521,9 +514,7 @@ def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
     return moved
 
 
-def _fit_of(
-    found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats
-) -> tuple[float, Floats]:
+def _fit_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
     turn, shift = measurements.rigid_fit(found.path[:, :2], true_path)
     ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2)
@@ -685,10 +676,8 @@ def _rows_of_boxes(scores: Sequence[Score]) -> list[list[str]]:
     boxes, false = sum(score.boxes for score in scores), sum(score.false_outlines for score in scores)
     if not boxes + false:
         return []
-    return [
-        ["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
-        ["false outlines", "0", str(false)],
-    ]
+    return [["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
+            ["false outlines", "0", str(false)]]
 
 
 def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
@@ -717,10 +706,8 @@ def _rows_of_exploration(explored: Sequence[Score]) -> list[list[str]]:
     if not explored:
         return []
     live = [score.live_seconds / score.duration_s for score in explored]
-    return [
-        ["contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs"],
-        ["processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}"],
-    ]
+    return [["contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs"],
+            ["processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}"]]
 
 
 def _shares(values: Sequence[float]) -> str:

@@ -190,20 +190,11 @@ def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, re
     # The reference path is planned without margin, so no drivable path is shorter.
     shortest = total_length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
     report, truth = mission.report, recorder.last
-    return DriveResult(
-        world=pair.world,
-        number=pair.number,
-        ending=report.ending,
-        reason=report.reason,
-        touched=recorder.touched,
-        least_in=recorder.least_in,
-        off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]),
-        shortest_in=shortest,
-        planned_in=report.steps[0].planned_in,
-        driven_in=recorder.distance_in,
-        plans=report.steps[0].plans,
-        duration_s=report.duration_s,
-    )
+    return DriveResult(world=pair.world, number=pair.number, ending=report.ending, reason=report.reason,
+                       touched=recorder.touched, least_in=recorder.least_in,
+                       off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]), shortest_in=shortest,
+                       planned_in=report.steps[0].planned_in, driven_in=recorder.distance_in,
+                       plans=report.steps[0].plans, duration_s=report.duration_s)
 
 
 NEAR: Final = 1.05
@@ -231,9 +222,8 @@ def main(arguments: Sequence[str]) -> None:
 
 def drive_cache(folder: Path, code: str) -> ResultCache[DrivePair, DriveResult]:
     """Return the cache of drives simulated by code with this hash."""
-    return ResultCache(
-        folder, code, DriveResult, lambda pair: (f"{pair.world}_{pair.scenario}_{pair.number:04d}", asdict(pair))
-    )
+    return ResultCache(folder, code, DriveResult,
+                       lambda pair: (f"{pair.world}_{pair.scenario}_{pair.number:04d}", asdict(pair)))
 
 
 def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:

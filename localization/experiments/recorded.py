@@ -156,11 +156,10 @@ def statistics_of(readings: Floats) -> RingStatistics:
         opposite += [width for steps, width in apart if steps >= count / 2 - OPPOSITE]
     both = np.isfinite(readings[1:]) & np.isfinite(readings[:-1])
     change = np.abs(readings[1:][both] - readings[:-1][both]) if both.any() else np.zeros(1)
-    return RingStatistics(
-        len(readings), float(np.isinf(readings).mean()), float((change > JUMP_M).mean()),
-        sum(run.sonars for runs in per_row for run in runs) / readings.size,
-        sum(map(len, per_row)) / len(readings), position / len(readings), float(np.median(change)), tuple(opposite),
-    )  # fmt: skip
+    return RingStatistics(len(readings), float(np.isinf(readings).mean()), float((change > JUMP_M).mean()),
+                          sum(run.sonars for runs in per_row for run in runs) / readings.size,
+                          sum(map(len, per_row)) / len(readings), position / len(readings), float(np.median(change)),
+                          tuple(opposite))  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -421,15 +420,11 @@ def rate_flight(name: str, poses: Floats, ranges_m: Floats, estimate: MapEstimat
     aslant = np.angle(fourfold * np.conj(fourfold.sum())) / 4.0
     orders = best_orders(poses, ranges_m)
     delays = [Agreement(delay_s, crispness(poses, ranges_m, ORDER, delay_s)) for delay_s in DELAYS_S]
-    return Flight(
-        name, orders[:3], delays, len(walls), found.quality.explained, found.quality.repeated,
-        found.quality.chi_square, found.calibration.distance_scale, straightness,
-        np.degrees(aslant).tolist(), returns, by_odometry,
-        [off for off, is_early in zip(returns, at_start, strict=True) if is_early],
-        [off for off, is_early in zip(by_odometry, at_start, strict=True) if is_early],
-        [M_PER_IN * wall.std_in for wall in walls],
-        found.reason_to_refuse(),
-    )  # fmt: skip
+    return Flight(name, orders[:3], delays, len(walls), found.quality.explained, found.quality.repeated,
+                  found.quality.chi_square, found.calibration.distance_scale, straightness, np.degrees(aslant).tolist(),
+                  returns, by_odometry, [off for off, is_early in zip(returns, at_start, strict=True) if is_early],
+                  [off for off, is_early in zip(by_odometry, at_start, strict=True) if is_early],
+                  [M_PER_IN * wall.std_in for wall in walls], found.reason_to_refuse())  # fmt: skip
 
 
 def fly(arguments: Sequence[str]) -> None:
