@@ -278,11 +278,9 @@ class Mission:
         """Current estimate and readings, without asking the robot."""
         estimate, state = self._controller.last
         x, y, heading = (float(value) for value in estimate.pose)
-        return Seen(
-            self._controller.clock_s - self._began_s, x, y, degrees(heading), position_std_in(estimate),
-            estimate.health.status.value, state.sonars_in, state.touching, state.bumpers,
-            len(self._controller.obstacles.confirmed),
-        )  # fmt: skip
+        return Seen(self._controller.clock_s - self._began_s, x, y, degrees(heading), position_std_in(estimate),
+                    estimate.health.status.value, state.sonars_in, state.touching, state.bumpers,
+                    len(self._controller.obstacles.confirmed))  # fmt: skip
 
     # steps
 
@@ -402,10 +400,8 @@ class Mission:
         while True:
             # 1. Plan and drive with the remaining goals.
             controller = self._controller
-            pilot = Pilot(
-                controller.planner, controller.limits, controller.obstacles, remaining, heading_rad,
-                RetryPolicy(within_in),
-            )  # fmt: skip
+            pilot = Pilot(controller.planner, controller.limits, controller.obstacles, remaining, heading_rad,
+                          RetryPolicy(within_in))  # fmt: skip
             self._run_pilot(pilot)
             assert pilot.result is not None
             self._halt()

@@ -82,9 +82,8 @@ class PathElement(NamedTuple):
         half = 0.5 * turn
         chord = along_in * sin(half) / half if half else along_in
         middle = self.heading_rad + half
-        return PathPoint(
-            self.x_in + chord * cos(middle), self.y_in + chord * sin(middle), self.heading_rad + turn, self.curvature
-        )
+        return PathPoint(self.x_in + chord * cos(middle), self.y_in + chord * sin(middle), self.heading_rad + turn,
+                         self.curvature)
 
     def nearest(self, x_in: float, y_in: float) -> float:
         """Return the arc length of the point nearest to (x_in, y_in)."""
@@ -254,9 +253,8 @@ class SpeedProfile:
         return max(CREEP_IN_S, min(self._limits.translation_in_s, ahead, approach))
 
 
-def round_corners(
-    points: Sequence[tuple[float, float]], within_in: float, limits: AxisLimits, walls: Floats, radius_in: float
-) -> list[PathElement]:
+def round_corners(points: Sequence[tuple[float, float]], within_in: float, limits: AxisLimits, walls: Floats,
+                  radius_in: float) -> list[PathElement]:
     """Return a polyline with its corners rounded where that is faster.
 
     An arc that touches both sides of a corner of turn b at the distance d from it has the radius d / tan(b / 2) and
@@ -292,9 +290,8 @@ def round_corners(
     return elements
 
 
-def _corner_arc(
-    one: PathElement, other: PathElement, within_in: float, limits: AxisLimits
-) -> tuple[PathElement, float] | None:
+def _corner_arc(one: PathElement, other: PathElement, within_in: float,
+                limits: AxisLimits) -> tuple[PathElement, float] | None:
     """Return the arc for a corner and the length it cuts off either side; None if stopping is faster."""
     turn = angle_difference(one.heading_rad, other.heading_rad)
     if not _MIN_CORNER_RAD < abs(turn) < _MAX_CORNER_RAD:
@@ -368,10 +365,8 @@ class PathFollower:
         while not self.finished:
             section = self._path[self._number]
             # 1. Find the position on the path near the previous one.
-            self._along_in = section.nearest(
-                float(pose[0]), float(pose[1]), max(0.0, self._along_in - SEARCH_BACK_IN),
-                self._along_in + SEARCH_AHEAD_IN,
-            )  # fmt: skip
+            self._along_in = section.nearest(float(pose[0]), float(pose[1]), max(0.0, self._along_in - SEARCH_BACK_IN),
+                                             self._along_in + SEARCH_AHEAD_IN)  # fmt: skip
             point = section.at(self._along_in)
             heading_error = angle_difference(point.heading_rad, float(pose[2]))
             # 2. At the end of a section go on with the next one.
@@ -402,9 +397,8 @@ class PathFollower:
             first_in = 0.0
         return points[:limit]
 
-    def _drive(
-        self, section: PathSection, point: PathPoint, pose: Floats, heading_error: float, fraction: float
-    ) -> VelocityCommand:
+    def _drive(self, section: PathSection, point: PathPoint, pose: Floats, heading_error: float,
+               fraction: float) -> VelocityCommand:
         # 1. Lateral error; before the start and beyond the end of the section the full distance counts.
         dx, dy = float(pose[0]) - point.x_in, float(pose[1]) - point.y_in
         self.lateral_error_in = dy * cos(point.heading_rad) - dx * sin(point.heading_rad)

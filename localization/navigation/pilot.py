@@ -203,10 +203,9 @@ class RobotController:
         Top speed.
     """
 
-    def __init__(
-        self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
-        method: str | Filter = DEFAULT_METHOD, speed_in_s: float = waypoints.Speeds().translation_in_s,
-    ) -> None:  # fmt: skip
+    def __init__(self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
+                 method: str | Filter = DEFAULT_METHOD,
+                 speed_in_s: float = waypoints.Speeds().translation_in_s) -> None:  # fmt: skip
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
         self.limits = control_law.MODEL_LIMITS[body.name].capped(speed_in_s, waypoints.Speeds().steering_rad_s)
@@ -224,9 +223,8 @@ class RobotController:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
         with contextlib.suppress(*(() if error is None else (NomadError,))):
             self.robot.stop()
 
@@ -253,11 +251,8 @@ class RobotController:
         before = self.last.state
         after, fraction = before, self._gap_limiter.speed_fraction(self.clock_s)
         with contextlib.suppress(BumperHit):
-            after = waypoints.drive_unless_held(
-                self.robot,
-                translation_in_s=fraction * command.translation_in_s,
-                steering_rad_s=fraction * command.steering_rad_s,
-            )
+            after = waypoints.drive_unless_held(self.robot, translation_in_s=fraction * command.translation_in_s,
+                                                steering_rad_s=fraction * command.steering_rad_s)
         # 2. Estimate.
         self.last = self._observe(waypoints.wait_for_next_state(self.robot, before, after, self._wait))
         state = self.last.state
@@ -381,10 +376,8 @@ class Pilot:
     policy : RetryPolicy, optional
     """
 
-    def __init__(
-        self, planner: Planner, limits: control_law.AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
-        heading_rad: float | None = None, policy: RetryPolicy | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, planner: Planner, limits: control_law.AxisLimits, obstacles: ObstacleTracker,
+                 goals: Sequence[Point], heading_rad: float | None = None, policy: RetryPolicy | None = None) -> None:
         self._planner, self._limits, self._obstacles = planner, limits, obstacles
         self._goals, self._heading_rad = list(goals), heading_rad
         self.policy = policy or RetryPolicy()
@@ -578,14 +571,12 @@ class Pilot:
         self.log.touches.append((x, y))
         self.log.notes.append((estimate.clock_s, f"touched something at ({x:.1f}, {y:.1f})"))
         if len(self.log.touches) >= self.policy.max_touches:
-            return self._end(
-                Ending.TOUCHED, f"touched something {len(self.log.touches)} times, last at ({x:.1f}, {y:.1f})"
-            )
+            return self._end(Ending.TOUCHED,
+                             f"touched something {len(self.log.touches)} times, last at ({x:.1f}, {y:.1f})")
         policy = self.policy
         velocity = -policy.back_off_in_s if is_forward else policy.back_off_in_s
-        self._back_off = control_law.BackOff(
-            velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s, policy.back_off_in
-        )
+        self._back_off = control_law.BackOff(velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s,
+                                             policy.back_off_in)
         return STAND
 
     def _end(self, ending: Ending, reason: str) -> VelocityCommand:

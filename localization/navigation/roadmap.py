@@ -440,10 +440,8 @@ class Roadmap:
         # 3. Number the nodes after those of start and goal: by kind, pair and end.
         own, other = own[rows], 1 - own[rows]
         tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
-        return _CircleNodes(
-            2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own], circles[rows, other],
-            points[rows, other],
-        )  # fmt: skip
+        return _CircleNodes(2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own],
+                            circles[rows, other], points[rows, other])  # fmt: skip
 
     def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
         """Return the shortest path from start to goal; empty if they are the same point.
@@ -590,9 +588,8 @@ class Planner:
         self._ends = WallEnds(self.walls, body_in + MARGINS_IN[-1])
         self._roadmap = cache(lambda margin_in: Roadmap(self.walls, body_in + margin_in, self._ends))
 
-    def plan(
-        self, start: Point, goal: Point, obstacles: Floats | None = None, min_margin_in: float = 0.0
-    ) -> PlannedPath:
+    def plan(self, start: Point, goal: Point, obstacles: Floats | None = None,
+             min_margin_in: float = 0.0) -> PlannedPath:
         """Return a path from start to goal.
 
         Parameters
