@@ -221,9 +221,8 @@ def _path(goal: tuple[float, float], start: tuple[float, float], world: World, s
 class Driver:
     """Controller from task to task; `more` is called for further tasks when all are done, until it returns none."""
 
-    def __init__(
-        self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float, more: Callable[[], Sequence[Task]] = tuple
-    ) -> None:
+    def __init__(self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float,
+                 more: Callable[[], Sequence[Task]] = tuple) -> None:
         self._tasks, self._more = list(tasks), more
         self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
         self.passed = 0
@@ -373,10 +372,8 @@ def calibration_in(belief: Belief) -> Calibration:
         float(mean[OdometryParameter.DRIFT]),
         tuple(offsets.tolist()),
         float(mean[RING_TURN]),
-        Spread(
-            float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
-            float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN]),
-        ),
+        Spread(float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
+               float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN])),
     )
 
 
@@ -482,9 +479,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     first_tasks, corner = _tasks(world, body.radius_in, start, square, options)
     extra_lap = tasks(square, (corner.x_in, corner.y_in), 1, options.spins)[1:]
     max_laps = 1 if options.laps is not None else MAX_LAPS
-    laps = LapPolicy(
-        extra_lap, max_laps, lambda: not (fit.is_good and missing(calibration_in(method.belief)))
-    )
+    laps = LapPolicy(extra_lap, max_laps, lambda: not (fit.is_good and missing(calibration_in(method.belief))))
     # 3. Drive; give up after the time limit or when the robot does not move.
     driver = Driver(first_tasks, options.speed, radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
@@ -505,9 +500,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     return calibration_in(method.belief), laps.begun if options.laps is None else options.laps
 
 
-def _square_of(
-    world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace
-) -> Square:
+def _square_of(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> Square:
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
     square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
     if not is_clear(square, world, radius_in):
@@ -516,9 +509,8 @@ def _square_of(
     return square
 
 
-def _tasks(
-    world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
-) -> tuple[list[Task], DriveTo]:
+def _tasks(world: World, radius_in: float, start: tuple[float, ...], square: Square,
+           options: argparse.Namespace) -> tuple[list[Task], DriveTo]:
     """Return the path to the square and the first laps, and the corner where these begin and end.
 
     Raises NoPathError if the square cannot be reached.

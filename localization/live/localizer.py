@@ -46,10 +46,8 @@ class Localizer:
         For filters that draw samples.
     """
 
-    def __init__(
-        self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
-        method: str | Filter = DEFAULT_METHOD, seed: int = 0,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
+                 method: str | Filter = DEFAULT_METHOD, seed: int = 0) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self.ring = schedule, config.calibration, config.body.ring
@@ -107,6 +105,5 @@ class Localizer:
         )
         past, filter_ = self._filter.smoothed(), self._filter
         smoothed = Smoothed(self._instants[0], past) if past else None
-        return Estimate(
-            latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places, filter_.informative_turn_rad
-        )
+        return Estimate(latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places,
+                        filter_.informative_turn_rad)
