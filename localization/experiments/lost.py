@@ -210,9 +210,7 @@ def drive(case: Case) -> LostResult:
             if alike := aliases.aliases(_pose(pose)):
                 break
     with simulated_robot(case.world, case.scenario, case.seed, pose) as robot:
-        run = _Run(robot, case, world, positions, pose, alike, aliases)
-        result = run.drive()
-    return replace(result, alike=len(alike), stated=run.stated, unambiguous_s=run.unambiguous_s)
+        return _Run(robot, case, world, positions, pose, alike, aliases).drive()
 
 
 class _Run:
@@ -250,8 +248,9 @@ class _Run:
         # 4. Counters of `_until`, and the last true pose and time.
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
-        self.stated: list[list[tuple[float, bool]]] = []
-        self.unambiguous_s: float | None = None
+        self._alike = len(alike)
+        self._unambiguous_s: float | None = None
+        self._stated: list[list[tuple[float, bool]]] = []
         self._periods = 0
         self._truth = _pose(pose)
         self._now_s = 0.0
@@ -337,10 +336,10 @@ class _Run:
         self._periods += 1
         if self._periods % round(1.0 / PERIOD_S):
             return
-        if self.unambiguous_s is None and self._aliases and not self._aliases.aliases(self._truth):
-            self.unambiguous_s = self._now_s
+        if self._unambiguous_s is None and self._aliases and not self._aliases.aliases(self._truth):
+            self._unambiguous_s = self._now_s
         if estimate.places:
-            self.stated.append([
+            self._stated.append([
                 (round(place.probability, 4), _is_right(place.belief.mean, self._truth)) for place in estimate.places
             ])  # fmt: skip
 
@@ -365,7 +364,8 @@ class _Run:
                  right: bool = False) -> LostResult:
         rmse = float(np.sqrt(np.mean(self._squares))) if self._squares else None
         degraded = self._degraded / self._polls if self._polls else 0.0
-        return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
+        return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right, self._alike,
+                          self._stated, self._unambiguous_s)  # fmt: skip
 
 
 def free_positions(world: World) -> Floats:

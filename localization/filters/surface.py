@@ -193,16 +193,8 @@ class SurfaceUpdate(MeasurementUpdate):
         """Take note of a step of the robot; see `SurfaceModel.move`."""
         self._surface.move(distance_in, turn_rad)
 
-    def apply(
-        self,
-        x: State,
-        P: Covariance,
-        sonar: int,
-        turret_offset_rad: float,
-        reading_in: float,
-        count: int = 1,
-        outlier_fraction: float = 1.0,  # noqa: ARG002  in buildings most echoes are outliers
-    ) -> UpdateResult:
+    def apply(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
+              outlier_fraction: float = 1.0) -> UpdateResult:  # noqa: ARG002  in buildings most echoes are outliers
         """Correct x and P in place by a reading; see `MeasurementUpdate.apply`."""
         association = self._surface.associate(x, P, sonar, turret_offset_rad, reading_in)
         if association.refusal is not update.Refusal.NONE:

@@ -344,13 +344,8 @@ Rule = Callable[[State, Covariance, float, Association, Sequence[float]], list[C
 """Corrections for x, P, a reading in inches, its hypotheses, and the variance R of each."""
 
 
-def linear(
-    x: State,  # noqa: ARG001  a rule has it
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    variances: Sequence[float],
-) -> list[Correction]:
+def linear(x: State, P: Covariance, reading_in: float, association: Association,  # noqa: ARG001  a rule has x
+           variances: Sequence[float]) -> list[Correction]:
     """Return the corrections of the extended Kalman filter: one derivative, at x."""
     corrections = []
     for range_in, H, R in zip(association.ranges_in, association.H, variances):  # noqa: B905  for numba

@@ -26,12 +26,12 @@ Liu, Arimoto: Path planning using a tangent graph for mobile robots among polygo
 
 import heapq
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from math import acos, atan2, hypot, inf, pi, tau
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -96,19 +96,26 @@ def segment_clearances(segments: Floats, walls: Floats) -> Floats:
 def are_clear(segments: Floats, walls: Floats, distance_in: float) -> Mask:
     """Return True (n,) for segments (n, 4) that keep a distance to all walls (m, 4).
 
-    The same as `segment_clearances(segments, walls) >= distance_in`, but a segment is compared with further walls only
-    while it is clear of those before. It is fast if the first walls block most of the segments.
+    The same as `segment_clearances(segments, walls) >= distance_in`, but fast if the first walls block most.
     """
-    clear = np.ones(len(segments), dtype=np.bool_)
+    clear = np.zeros(len(segments), dtype=np.bool_)
+    clear[_passing(segments, walls, lambda part, near: segment_clearances(part, near) >= distance_in)] = True
+    return clear
+
+
+def _passing(segments: Floats, walls: Floats, passes: Callable[[Floats, Floats], Any]) -> Indices:
+    """Return the rows of segments (n, 4) that pass walls (m, 4).
+
+    A segment is compared with further walls only while it passes those before.
+    """
     remaining = np.arange(len(segments))
     first, count = 0, _FIRST_WALLS
     while first < len(walls) and len(remaining):
         count = max(1, min(count, MAX_PAIRS // len(remaining)))
         near = walls[first : first + count]
         first, count = first + count, 2 * count
-        clear[remaining] = segment_clearances(segments[remaining], near) >= distance_in
-        remaining = remaining[clear[remaining]]
-    return clear
+        remaining = remaining[passes(segments[remaining], near)]
+    return remaining
 
 
 class CornerCircle:
@@ -363,14 +370,9 @@ class WallEnds:
         """Return the numbers of the ends that no wall hides from a point; of two that a wall touches both count."""
         nearest_first = self.walls[np.argsort(nearest_points(np.array(point), self.walls)[1], kind="stable")]
         segments = np.concatenate((np.broadcast_to(point, self.points.shape), self.points), axis=1)
-        visible = np.flatnonzero((segments[:, :2] != segments[:, 2:]).any(axis=1))
-        first, count = 0, _FIRST_WALLS
-        while first < len(nearest_first) and len(visible):
-            count = max(1, min(count, MAX_PAIRS // len(visible)))
-            near = nearest_first[first : first + count]
-            first, count = first + count, 2 * count
-            visible = visible[~crossings(segments[visible], near, TOUCH_IN).any(axis=1)]
-        return visible
+        others = np.flatnonzero((segments[:, :2] != segments[:, 2:]).any(axis=1))
+        seen = _passing(segments[others], nearest_first, lambda ray, near: ~crossings(ray, near, TOUCH_IN).any(axis=1))
+        return others[seen]
 
     def _walls_beside(self, number: int) -> tuple[Indices, Indices]:
         """Return the walls near the lines from an end to those visible from it, in the order of `visible_from`.
