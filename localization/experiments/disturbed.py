@@ -99,30 +99,28 @@ class Disturbance:
     seconds: float = 120.0
 
 
-ROWS: Final[Mapping[str, Disturbance]] = MappingProxyType(
-    {
-        "undisturbed": Disturbance(),
-        "sonars -1 in": Disturbance(offset_in=-1.0),
-        "sonars -0.5 in": Disturbance(offset_in=-0.5),
-        "sonars +0.5 in": Disturbance(offset_in=0.5),
-        "sonars +1 in": Disturbance(offset_in=1.0),
-        "ranges x 0.98": Disturbance(scale=0.98),
-        "ranges x 1.02": Disturbance(scale=1.02),
-        "map 1 % off": Disturbance(map_scale=1.01),
-        "map 2 % off": Disturbance(map_scale=1.02),
-        "wall missing": Disturbance(wall_off_in=math.nan),
-        "wall 3 in off": Disturbance(wall_off_in=3.0),
-        "person": Disturbance(person=True),
-        "carpet 8 %": Disturbance(wheel_scale=0.92),
-        "slips of 3 in": Disturbance(slip_in=3.0),
-        "slips of 6 in": Disturbance(slip_in=6.0),
-        "sonars +3 in": Disturbance(offset_in=3.0),
-        "clock 100 ms": Disturbance(clock_s=0.1),
-        "states at 2 Hz": Disturbance(poll=5),
-        "pressed: wall": Disturbance(target=(35.0, 110.0), seconds=600.0),
-        "pressed: post": Disturbance(target=(60.0, 80.0), seconds=600.0),
-    }
-)
+ROWS: Final[Mapping[str, Disturbance]] = MappingProxyType({
+    "undisturbed": Disturbance(),
+    "sonars -1 in": Disturbance(offset_in=-1.0),
+    "sonars -0.5 in": Disturbance(offset_in=-0.5),
+    "sonars +0.5 in": Disturbance(offset_in=0.5),
+    "sonars +1 in": Disturbance(offset_in=1.0),
+    "ranges x 0.98": Disturbance(scale=0.98),
+    "ranges x 1.02": Disturbance(scale=1.02),
+    "map 1 % off": Disturbance(map_scale=1.01),
+    "map 2 % off": Disturbance(map_scale=1.02),
+    "wall missing": Disturbance(wall_off_in=math.nan),
+    "wall 3 in off": Disturbance(wall_off_in=3.0),
+    "person": Disturbance(person=True),
+    "carpet 8 %": Disturbance(wheel_scale=0.92),
+    "slips of 3 in": Disturbance(slip_in=3.0),
+    "slips of 6 in": Disturbance(slip_in=6.0),
+    "sonars +3 in": Disturbance(offset_in=3.0),
+    "clock 100 ms": Disturbance(clock_s=0.1),
+    "states at 2 Hz": Disturbance(poll=5),
+    "pressed: wall": Disturbance(target=(35.0, 110.0), seconds=600.0),
+    "pressed: post": Disturbance(target=(60.0, 80.0), seconds=600.0),
+})
 """All rows by name."""
 
 

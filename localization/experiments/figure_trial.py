@@ -94,18 +94,16 @@ class Figure:
     steps_thesis: int | None = None
 
 
-FIGURES: Final[Mapping[str, Figure]] = MappingProxyType(
-    {
-        figure.name: figure
-        for figure in (
-            Figure("5.2", "Without the filter", "thesis_room", "5.3", filtered=False),
-            Figure("5.4", "With the filter", "thesis_room", "5.5", steps_thesis=1199),
-            Figure("5.6", "Badly chosen limits", "thesis_room", "5.7", gains=_BADLY_CHOSEN, steps_thesis=150),
-            Figure("5.8", "Guided path between several walls", "several_walls"),
-            Figure("5.9", "Guided path around a vertex", "centre_vertex"),
-        )
-    }
-)
+FIGURES: Final[Mapping[str, Figure]] = MappingProxyType({
+    figure.name: figure
+    for figure in (
+        Figure("5.2", "Without the filter", "thesis_room", "5.3", filtered=False),
+        Figure("5.4", "With the filter", "thesis_room", "5.5", steps_thesis=1199),
+        Figure("5.6", "Badly chosen limits", "thesis_room", "5.7", gains=_BADLY_CHOSEN, steps_thesis=150),
+        Figure("5.8", "Guided path between several walls", "several_walls"),
+        Figure("5.9", "Guided path around a vertex", "centre_vertex"),
+    )
+})
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,30 +428,25 @@ class Summary(TypedDict):
 
 def figure_result(runs: Runs, filtered: bool) -> FigureResult:
     """Return the results of runs; NEES, NIS and the bound only with a filter."""
-    results = []
-    tracks = []
+    results, tracks = [], []
     # One row of the arrays per seed; after its last step a row has no meaning.
     for row, seed in enumerate(runs.seeds):
         span = slice(int(runs.steps[row]))
         track = Track(seed, runs.truth[span, row], runs.mean[span, row], runs.cov[span, row])
-        # Bound on the squared position error: the trace of the position block of the covariance bound.
+        # 1. Estimate minus truth (T, 3), headings wrapped.
+        error = difference(track.mean, track.truth)
+        square = error[:, 0] ** 2 + error[:, 1] ** 2
+        # 2. Bound on the squared position error: the trace of the position block of the covariance bound.
         bound = runs.bound[span, row, 0, 0] + runs.bound[span, row, 1, 1]
-        extra = (runs.nis[span, row], runs.used[span, row], bound)
-        sums = [math.fsum(values) for values in extra] if filtered else [0.0, 0.0, 0.0]
-        results.append(_result(track, bool(runs.reached[row]), filtered, sums))
+        sums = [0.0] * 4
+        if filtered:
+            extra = (nees(error, track.cov), runs.nis[span, row], runs.used[span, row], bound)
+            sums = [math.fsum(values) for values in extra]
+        results.append(SeedResult(seed, len(error), bool(runs.reached[row]), math.sqrt(square[-1]), math.fsum(square),
+                                  math.fsum(error[:, 2] ** 2), *sums))
         if seed < TRACKED_SEEDS:
             tracks.append(track)
     return FigureResult(tuple(results), tuple(tracks))
-
-
-def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> SeedResult:
-    # Estimate minus truth (T, 3), headings wrapped.
-    error = difference(track.mean, track.truth)
-    square = error[:, 0] ** 2 + error[:, 1] ** 2
-    nis, used, bound = sums
-    return SeedResult(seed=track.seed, steps=len(error), reached=reached, end_error_in=math.sqrt(square[-1]),
-                      position_in2=math.fsum(square), heading_rad2=math.fsum(error[:, 2] ** 2),
-                      nees=math.fsum(nees(error, track.cov)) if filtered else 0.0, nis=nis, used=used, bound_in2=bound)
 
 
 def join_results(parts: Sequence[FigureResult]) -> FigureResult:

@@ -123,19 +123,17 @@ class Scenario:
 
 _MEASURED: Final = Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2,
                             judged_after_in=24.0)
-SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
-    {
-        scenario.name: scenario
-        for scenario in (
-            Scenario("exact", "ideal", EXACT_RAYS),
-            Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            _MEASURED,
-            # Over the serial protocol, which has neither timestamps nor a fine clock.
-            Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            replace(_MEASURED, name="measured_line", line=True),
-        )
-    }
-)
+SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType({
+    scenario.name: scenario
+    for scenario in (
+        Scenario("exact", "ideal", EXACT_RAYS),
+        Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
+        _MEASURED,
+        # Over the serial protocol, which has neither timestamps nor a fine clock.
+        Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
+        replace(_MEASURED, name="measured_line", line=True),
+    )
+})
 """`exact`: exact rays. `noisy`: rays and odometry with the noise of the figures. `measured`: the sonars of a real ring,
 a fifth of the readings outliers, and an unknown scale. `_line`: the same over the serial protocol."""
 

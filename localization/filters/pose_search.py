@@ -204,12 +204,10 @@ def advanced(hypotheses: Sequence[Place], before: Floats, records: Sequence[Echo
              replay: EchoReplay) -> list[Place]:
     """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
     replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
-    return merged(
-        [
-            (belief, log(hypothesis.probability) + EVIDENCE_SHARE * nats)
-            for hypothesis, (belief, nats) in zip(hypotheses, replayed, strict=True)
-        ]
-    )
+    return merged([
+        (belief, log(hypothesis.probability) + EVIDENCE_SHARE * nats)
+        for hypothesis, (belief, nats) in zip(hypotheses, replayed, strict=True)
+    ])
 
 
 def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Place]:

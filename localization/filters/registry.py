@@ -57,17 +57,15 @@ def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
 
 FINDER: Final = "finder"
 """The method that can begin without a belief."""
-METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
-    {
-        "ekf": lambda config, belief, _: _kalman(config, belief),
-        "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
-        "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
-        "smoother": _smoother,
-        "mcl": _particles,
-        FINDER: lambda config, belief, _: finder(config, belief),
-        "offsets": _offsets,
-    }
-)
+METHODS: Final[Mapping[str, Factory]] = MappingProxyType({
+    "ekf": lambda config, belief, _: _kalman(config, belief),
+    "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
+    "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
+    "smoother": _smoother,
+    "mcl": _particles,
+    FINDER: lambda config, belief, _: finder(config, belief),
+    "offsets": _offsets,
+})
 """Every method by its name; they differ in the rule of the update, the prediction or the form of the belief."""
 DEFAULT_METHOD: Final = "ekf"
 

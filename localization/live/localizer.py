@@ -97,12 +97,10 @@ class Localizer:
             self._last_echo_s = new[-1][0]
         self._instants.extend([instant_s for instant_s, _, _ in new])
         # 3. What else the filter reports.
-        echoes = tuple(
-            [
-                Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
-                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
-            ]
-        )
+        echoes = tuple([
+            Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
+            for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
+        ])
         past, filter_ = self._filter.smoothed(), self._filter
         smoothed = Smoothed(self._instants[0], past) if past else None
         return Estimate(latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places,

@@ -47,14 +47,12 @@ from nclient.errors import MissionFileError, NomadError, WorldFileError
 from worlds.io import load_world
 from worlds.schema import MAX_COORDINATE_IN, Angle, Outline, PointInUnits, Points, Table, require_outline, table
 
-CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType(
-    {
-        "nearer_than_in": lambda value: lambda seen: seen.nearest_in < value,
-        "farther_than_in": lambda value: lambda seen: seen.nearest_in > value,
-        "known_to_in": lambda value: lambda seen: seen.std_in <= value,
-        "finds": lambda value: lambda seen: seen.finds >= value,
-    }
-)
+CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType({
+    "nearer_than_in": lambda value: lambda seen: seen.nearest_in < value,
+    "farther_than_in": lambda value: lambda seen: seen.nearest_in > value,
+    "known_to_in": lambda value: lambda seen: seen.std_in <= value,
+    "finds": lambda value: lambda seen: seen.finds >= value,
+})
 """Conditions of `wait_for` by key: shortest reading of the ring below or above a value, standard deviation of the
 position, number of obstacles that are not in the map. `touching = true` is one more."""
 Threshold = Annotated[float, Meta(ge=0.0, le=MAX_COORDINATE_IN)]
