@@ -58,11 +58,9 @@ class Localize(Task):
         True for sonars that are exact rays, False for cones (setups measured and building, real robots).
     """
 
-    def __init__(
-        self, start_std: tuple[float, float, float] = (0.3, 0.3, 0.2),
-        certain_std: tuple[float, float, float] = (0.02, 0.02, 0.015), method: str = DEFAULT_METHOD, *,
-        has_rays: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, start_std: tuple[float, float, float] = (0.3, 0.3, 0.2),
+                 certain_std: tuple[float, float, float] = (0.02, 0.02, 0.015), method: str = DEFAULT_METHOD, *,
+                 has_rays: bool = True) -> None:  # fmt: skip
         self._start_std, self._certain_std = np.array(start_std) / IN_METRES, np.array(certain_std) / IN_METRES
         self._method, self._has_rays = method, has_rays
 
@@ -80,14 +78,10 @@ class Localize(Task):
     def spaces(self) -> dict[str, spaces.Space[Any]]:
         """Add estimate and standard deviations."""
         pose = np.array([MAX_COORDINATE_M, MAX_COORDINATE_M, np.pi], dtype=np.float32)
-        return super().spaces() | {
-            "estimate": spaces.Box(-pose, pose, dtype=np.float32),
-            "std": spaces.Box(np.zeros(POSE, dtype=np.float32), pose, dtype=np.float32),
-        }
+        return super().spaces() | {"estimate": spaces.Box(-pose, pose, dtype=np.float32),
+                                   "std": spaces.Box(np.zeros(POSE, dtype=np.float32), pose, dtype=np.float32)}
 
-    def begin(
-        self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]
-    ) -> None:
+    def begin(self, mask: BoolArray, sensed: Sensed, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """Begin with estimates whose errors are drawn from their covariance."""
         super().begin(mask, sensed, rng, options)
         for row in np.flatnonzero(mask).tolist():
@@ -137,9 +131,8 @@ class Localize(Task):
         return self._means()[row : row + 1, :2]
 
 
-def localize(
-    world: Any = "thesis_room", method: str = DEFAULT_METHOD, *, has_rays: bool = True, **options: Any
-) -> RobotEnv:
+def localize(world: Any = "thesis_room", method: str = DEFAULT_METHOD, *, has_rays: bool = True,
+             **options: Any) -> RobotEnv:
     """Return the environment Nomad/Localize-v0."""
     return RobotEnv(Localize(method=method, has_rays=has_rays), world=world, **options)
 

@@ -190,19 +190,34 @@ def crossing(edges: FloatArray) -> tuple[int, int] | None:
     """
     for one, other in candidate_pairs(edges):
         first, second = edges[one], edges[other]
-        crossed = np.flatnonzero(_side_product(first, second) < 0.0)
-        crossed = crossed[_side_product(second[crossed], first[crossed]) < 0.0]
+        crossed = np.flatnonzero(_parts(first, second))
+        crossed = crossed[_parts(second[crossed], first[crossed])]
         if len(crossed):
             return int(one[crossed[0]]), int(other[crossed[0]])
     return None
 
 
-def _side_product(lines: FloatArray, segments: FloatArray) -> FloatArray:
-    """Return the product (n,) of the sides of a segment's two ends relative to its line: negative if they differ."""
-    along_x, along_y = lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]
-    side_1 = along_x * (segments[:, 1] - lines[:, 1]) - along_y * (segments[:, 0] - lines[:, 0])
-    side_2 = along_x * (segments[:, 3] - lines[:, 1]) - along_y * (segments[:, 2] - lines[:, 0])
-    return side_1 * side_2
+def crossings(segments: FloatArray, others: FloatArray, touch_in: float = 0.0) -> BoolArray:
+    """Return a matrix (n, m): True where a segment (n, 4) crosses another (m, 4); see `crosses`."""
+    return crosses(segments[:, np.newaxis], others[np.newaxis], touch_in)
+
+
+def crosses(segments: FloatArray, others: FloatArray, touch_in: float = 0.0) -> BoolArray:
+    """Return True (...) where two segments (..., 4) cross, the ends of both more than `touch_in` beyond."""
+    return _parts(segments, others, touch_in) & _parts(others, segments, touch_in)
+
+
+def _parts(lines: FloatArray, segments: FloatArray, touch_in: float = 0.0) -> BoolArray:
+    """Return True (...) where a line has both ends of a segment farther than `touch_in` from it, on two sides."""
+    along_x, along_y = lines[..., 2] - lines[..., 0], lines[..., 3] - lines[..., 1]
+    # Cross products: positive for an end to the left of the line.
+    first = along_x * (segments[..., 1] - lines[..., 1]) - along_y * (segments[..., 0] - lines[..., 0])
+    second = along_x * (segments[..., 3] - lines[..., 1]) - along_y * (segments[..., 2] - lines[..., 0])
+    parts: BoolArray = first * second < 0.0
+    if touch_in > 0.0:
+        least = touch_in * lengths(lines)
+        parts &= (np.abs(first) > least) & (np.abs(second) > least)
+    return parts
 
 
 def candidate_pairs(segments: FloatArray, reach_in: float = 0.0) -> Iterator[tuple[IndexArray, IndexArray]]:

@@ -130,14 +130,10 @@ def add_map_option(parser: argparse.ArgumentParser, other_source: str = "") -> N
 
 def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
     """Add --body, --model-file, --odometry-noise and --sonars."""
-    parser.add_argument(
-        "--body", type=str.lower, metavar=f"{{{','.join(sorted(BODIES))}}}",
-        help="robot model, if the address does not name it, or one of --model-file (default: n150)"
-    )
-    parser.add_argument(
-        "--model-file", type=Path, metavar="FILE",
-        help="robot models that override or extend these (default: model_file of a sim: address)"
-    )
+    parser.add_argument("--body", type=str.lower, metavar=f"{{{','.join(sorted(BODIES))}}}",
+                        help="robot model, if the address does not name it, or one of --model-file (default: n150)")
+    parser.add_argument("--model-file", type=Path, metavar="FILE",
+                        help="robot models that override or extend these (default: model_file of a sim: address)")
     add_odometry_noise(parser)
     parser.add_argument("--sonars", choices=("rays", "cones", assumptions.BUILDING_SETUP),
                         help="sonar model: exact rays (setups ideal and noisy), the cones of a real ring, including "
@@ -189,9 +185,8 @@ def add_publish(parser: argparse._ActionsContainer, shown: str, more: str = "") 
 class _RenamedOption(argparse.Action):
     """An option under its old name: accepted for one version, with a warning that names the new one."""
 
-    def __call__(
-        self, _: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
-    ) -> None:
+    def __call__(self, _: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
+                 option: str | None = None) -> None:
         print(f"nomad: {option} is now called --displacement-std; the old name will be removed", file=sys.stderr)
         setattr(namespace, self.dest, values)
 
@@ -331,9 +326,8 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     return LocalizationSetup(belief, config, sonars)
 
 
-def find_sonar_model(
-    robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body, options: argparse.Namespace
-) -> assumptions.SonarAssumption:
+def find_sonar_model(robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body,
+                     options: argparse.Namespace) -> assumptions.SonarAssumption:
     """Return the assumed sonar model and print it if it is guessed, on stdout (stderr with --json).
 
     A simulation that does not report its model is decided by a round of readings; the robot stands meanwhile.
@@ -356,10 +350,9 @@ def _widen_encoders(options: argparse.Namespace, world: World, state: RobotState
     if options.start_std is not None:
         return belief
     starts = [(start.x_in, start.y_in, start.steering_rad) for start in world.starts]
-    std, options.driven_in = saved_estimate.encoder_std(
-        np.array([state.x_in, state.y_in, state.steering_rad]), np.array([*starts, (0.0, 0.0, 0.0)]),
-        np.array(START_STD), options.odometry_noise,
-    )  # fmt: skip
+    std, options.driven_in = saved_estimate.encoder_std(np.array([state.x_in, state.y_in, state.steering_rad]),
+                                                        np.array([*starts, (0.0, 0.0, 0.0)]), np.array(START_STD),
+                                                        options.odometry_noise)  # fmt: skip
     cov = belief.cov.copy()
     cov[range(POSE), range(POSE)] = np.square(std)
     return Belief(belief.mean, cov)
@@ -429,10 +422,8 @@ def save_run(options: argparse.Namespace, world: World, run: Run) -> None:
     save_estimate(options, world, last.estimate, last.odometry, last.turret_rad)
 
 
-def save_estimate(
-    options: argparse.Namespace, world: World, estimate: saved_estimate.Estimate, odometry: tuple[float, float, float],
-    turret_rad: float,
-) -> None:  # fmt: skip
+def save_estimate(options: argparse.Namespace, world: World, estimate: saved_estimate.Estimate,
+                  odometry: tuple[float, float, float], turret_rad: float) -> None:  # fmt: skip
     """Save an estimate and the encoders, if --save is given: pose and odometry parameters, no other filter state.
 
     Raises EstimateFileError, also for a lost estimate.

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import cos, degrees, dist, pi, radians, tau
 from pathlib import Path
@@ -36,6 +35,7 @@ from nclient.common.arguments import add_address, add_flag, add_value, whole_num
 from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode
 from nclient.errors import NomadError, OutputFileError
+from worlds.geometry import polygon_segments
 from worlds.robots import Calibration, Spread, calibration_as_json, format_calibration
 from worlds.world import World
 
@@ -189,12 +189,7 @@ def is_clear(square: Square, world: World, radius_in: float) -> bool:
     """Return True if a robot of this radius can drive the sides with MARGIN_IN of space."""
     space_in = radius_in + MARGIN_IN
     free = all(world.clearance(*corner) >= space_in for corner in square.corners)
-    return free and bool((segment_clearances(_sides(square), world.walls) >= space_in).all())
-
-
-def _sides(square: Square) -> Floats:
-    corners = np.array(square.corners)
-    return np.concatenate((corners, np.roll(corners, -1, axis=0)), axis=1)
+    return free and bool((segment_clearances(polygon_segments(square.corners), world.walls) >= space_in).all())
 
 
 def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> list[Task]:
@@ -226,9 +221,8 @@ def _path(goal: tuple[float, float], start: tuple[float, float], world: World, s
 class Driver:
     """Controller from task to task; `more` is called for further tasks when all are done, until it returns none."""
 
-    def __init__(
-        self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float, more: Callable[[], Sequence[Task]] = tuple
-    ) -> None:
+    def __init__(self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float,
+                 more: Callable[[], Sequence[Task]] = tuple) -> None:
         self._tasks, self._more = list(tasks), more
         self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
         self.passed = 0
@@ -378,31 +372,23 @@ def calibration_in(belief: Belief) -> Calibration:
         float(mean[OdometryParameter.DRIFT]),
         tuple(offsets.tolist()),
         float(mean[RING_TURN]),
-        Spread(
-            float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
-            float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN]),
-        ),
+        Spread(float(std[OdometryParameter.DISTANCE_SCALE]), float(std[OdometryParameter.TURN_SCALE]),
+               float(std[OdometryParameter.DRIFT]), tuple(spread.tolist()), float(std[RING_TURN])),
     )
 
 
 def table(found: Calibration) -> str:
     """Return a table of all numbers with their standard deviations and accuracies."""
-    return "\n".join(_rows(found))
-
-
-def _rows(found: Calibration) -> Iterator[str]:
     distance, turn, drift, ring, *sonars = numbers(found)
-    yield f"{'':24}{'found':>12}{'± std':>12}"
-    yield _row("distance, true / counted", 1.0 + distance.off, distance.std, 4, distance.words)
-    yield _row("turn, true / counted", 1.0 + turn.off, turn.std, 4, turn.words)
-    yield _row("drift, rad/in", drift.off, drift.std, 5, drift.words)
-    yield _row("ring turned, deg", degrees(ring.off), degrees(ring.std), 2, ring.words)
-    for sonar in sonars:
-        yield _row(f"sonar {sonar.name.removeprefix('sonar '):>2} reads more, in", sonar.off, sonar.std, 2, sonar.words)
-
-
-def _row(name: str, value: float, std: float, places: int, words: str) -> str:
-    return f"{name:24}{value:12.{places}f}{std:12.{places}f}   {words}"
+    rows = [
+        ("distance, true / counted", 1.0 + distance.off, distance.std, 4, distance.words),
+        ("turn, true / counted", 1.0 + turn.off, turn.std, 4, turn.words),
+        ("drift, rad/in", drift.off, drift.std, 5, drift.words),
+        ("ring turned, deg", degrees(ring.off), degrees(ring.std), 2, ring.words),
+        *((f"sonar {k:>2} reads more, in", one.off, one.std, 2, one.words) for k, one in enumerate(sonars)),
+    ]
+    lines = [f"{name:24}{value:12.{places}f}{std:12.{places}f}   {words}" for name, value, std, places, words in rows]
+    return "\n".join([f"{'':24}{'found':>12}{'± std':>12}", *lines])
 
 
 START_STD = (0.5, 0.5, 0.02)
@@ -490,14 +476,12 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     method = CalibratingFilter(config, independent(np.array(start), options.start_std))
     # 2. Square, path to it and laps; without --laps more are driven until the result is accurate.
     square = _square_of(world, body.radius_in, start, options)
-    first = _tasks(world, body.radius_in, start, square, options)
-    extra_lap = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
+    first_tasks, corner = _tasks(world, body.radius_in, start, square, options)
+    extra_lap = tasks(square, (corner.x_in, corner.y_in), 1, options.spins)[1:]
     max_laps = 1 if options.laps is not None else MAX_LAPS
-    laps = LapPolicy(
-        extra_lap, max_laps, lambda: not (fit.is_good and missing(calibration_in(method.belief)))
-    )
+    laps = LapPolicy(extra_lap, max_laps, lambda: not (fit.is_good and missing(calibration_in(method.belief))))
     # 3. Drive; give up after the time limit or when the robot does not move.
-    driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
+    driver = Driver(first_tasks, options.speed, radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
     localizer = start_localizer(robot, config, method.belief, method)
@@ -516,16 +500,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consist
     return calibration_in(method.belief), laps.begun if options.laps is None else options.laps
 
 
-class _Route(NamedTuple):
-    """The path to the square and the first laps; the corner where the laps begin and end."""
-
-    tasks: list[Task]
-    corner: DriveTo
-
-
-def _square_of(
-    world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace
-) -> Square:
+def _square_of(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> Square:
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
     square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
     if not is_clear(square, world, radius_in):
@@ -534,15 +509,17 @@ def _square_of(
     return square
 
 
-def _tasks(
-    world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
-) -> _Route:
-    """Return the route to the square and around it. Raises NoPathError if the square cannot be reached."""
+def _tasks(world: World, radius_in: float, start: tuple[float, ...], square: Square,
+           options: argparse.Namespace) -> tuple[list[Task], DriveTo]:
+    """Return the path to the square and the first laps, and the corner where these begin and end.
+
+    Raises NoPathError if the square cannot be reached.
+    """
     here = (start[0], start[1])
     # The first task is the drive to the nearest corner; it is replaced by a path around obstacles.
     corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
     assert isinstance(corner, DriveTo)
-    return _Route([*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
+    return [*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner
 
 
 def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
@@ -551,9 +528,8 @@ def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     short = missing(found)
     if not short or not fit.is_good:
         return fit.line()
-    text = f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; "
-    text += "use more --laps or a larger room"
-    return f"{text}\n{fit.line()}"
+    return (f"after {laps} laps in each direction still inaccurate: {', '.join(short)}; use more --laps or a larger "
+            f"room\n{fit.line()}")
 
 
 def _line(passed_s: float, driver: Driver, found: Calibration) -> str:

@@ -36,13 +36,13 @@ from localization.live.background_search import filter_on_robot
 from localization.live.run import GroundTruth, Publisher, Run, build_message, run_log
 from localization.live.sensor_input import read_log, without_echo
 from localization.navigation.control_law import ContactDetector, MisfitDetector, PoseSmoother, StallDetector
-from localization.navigation.roadmap import crossings
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from localization.plot import check_picture, draw_run
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.process import ExitCode, TerminatedBySignal
 from nclient.recording import convert
+from worlds.geometry import crossings
 from worlds.io import load_world
 from worlds.rings import Ring
 from worlds.world import World
@@ -53,13 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_address(parser)
     arguments.add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
-    goals.add_argument(
-        "--waypoints", nargs="+", type=arguments.parse_point, metavar="X,Y",
-        help="drive to these positions in order, inches",
-    )
-    goals.add_argument(
-        "--path", metavar="NAME", help="drive a path of the map, given by the number of its figure, such as 5.8"
-    )
+    goals.add_argument("--waypoints", nargs="+", type=arguments.parse_point, metavar="X,Y",
+                       help="drive to these positions in order, inches")
+    goals.add_argument("--path", metavar="NAME",
+                       help="drive a path of the map, given by the number of its figure, such as 5.8")
     add_value(parser, "--start", "X,Y,HEADING", arguments.parse_start,
               "set the encoders to this initial pose, inches and degrees (default: keep them); "
               f"{arguments.UNKNOWN}: find the pose first (method finder)")
@@ -168,10 +165,8 @@ def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
         draw_run(options.picture, world, done, resolve_body(options.body, options.model_file, options.address))
 
 
-def _drive(
-    robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
-    publisher: Publisher | None = None,
-) -> None:  # fmt: skip
+def _drive(robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
+           publisher: Publisher | None = None) -> None:  # fmt: skip
     # 1. Initial belief, models, controller and filter.
     belief, config, done.sonars = arguments.prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None

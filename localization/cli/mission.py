@@ -137,10 +137,8 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
         body = resolve_body(options.body, options.model_file, options.address)
         waits = arguments.is_lockstep(options.address)
         with (
-            filter_on_robot(
-                options.method, config, belief, waits=waits, report=arguments.report_wait,
-                alike=arguments.find_alike(world, config, belief),
-            ) as method,
+            filter_on_robot(options.method, config, belief, waits=waits, report=arguments.report_wait,
+                            alike=arguments.find_alike(world, config, belief)) as method,
             pilot.RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):
             context = MissionContext(controller, robot, simulated, sonars, [], [], world)
@@ -153,9 +151,8 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
             yield context
 
 
-def execute_mission(
-    context: MissionContext, settings: pilot.Settings, act: Callable[[Mission], object], options: argparse.Namespace
-) -> int:
+def execute_mission(context: MissionContext, settings: pilot.Settings, act: Callable[[Mission], object],
+                    options: argparse.Namespace) -> int:
     """Run a mission, write its report and save the estimate, however it ends; return the exit code."""
     mission = Mission(context.controller, settings)
     try:
@@ -196,10 +193,8 @@ class GoCommand:
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         """Add the options of `nomad go`."""
         add_address(parser)
-        parser.add_argument(
-            "--to", type=_parse_goal, required=True, metavar="X,Y[,HEADING]",
-            help="drive to this position, inches and degrees",
-        )  # fmt: skip
+        parser.add_argument("--to", type=_parse_goal, required=True, metavar="X,Y[,HEADING]",
+                            help="drive to this position, inches and degrees")  # fmt: skip
         add_value(parser, "--within", "IN", _number_between(pilot.MIN_WITHIN_IN, pilot.MAX_WITHIN_IN),
                   "accept positions within this many inches", STOP_RADIUS_IN)
         add_value(parser, "--time-limit", "S", _number_between(pilot.MIN_TIME_S, pilot.MAX_TIME_S),
@@ -219,9 +214,8 @@ class GoCommand:
             if not options.json:
                 context.controller.observers.append(_ProgressPrinter())
             context.goals.append(options.to[:2])
-            return execute_mission(
-                context, settings, lambda robot: robot.go_to(*options.to, within_in=options.within), options
-            )
+            return execute_mission(context, settings, lambda robot: robot.go_to(*options.to, within_in=options.within),
+                                   options)
 
 
 class _ProgressPrinter:

@@ -45,10 +45,8 @@ def predict_grid(answer: Answer, rng: Rng) -> None:
              "What would leave the corridor stays in the last cell: do not spread it by normalizing."),
             (backwards, "kernel[k] is the probability of k cells forwards."),
         ]
-        expect(
-            answer, (belief, kernel), right, 1e-9, mistakes=mistakes,
-            hint="Add belief[i] * kernel[k] to cell i + k for all i and k.",
-        )  # fmt: skip
+        expect(answer, (belief, kernel), right, 1e-9, mistakes=mistakes,
+               hint="Add belief[i] * kernel[k] to cell i + k for all i and k.")  # fmt: skip
 
 
 @task("04")
@@ -329,10 +327,8 @@ def move_particles(answer: Answer, rng: Rng) -> None:
             f"The particles move by ({ahead.mean():.2f}, {aside.mean():.2f}) in along and across the mean direction on "
             f"average; expected ({distance:.2f}, 0). The heading while driving is that at half of the turn.",
         )
-        require(
-            abs(ahead.std() / std[0] - 1) < 0.1,
-            f"The distances have the standard deviation {ahead.std():.3f} in; expected {std[0]:.3f}.",
-        )
+        require(abs(ahead.std() / std[0] - 1) < 0.1,
+                f"The distances have the standard deviation {ahead.std():.3f} in; expected {std[0]:.3f}.")
 
 
 @task("08", points=2)
@@ -353,10 +349,8 @@ def weigh_particles(answer: Answer, rng: Rng) -> None:
             (added / max(added.sum(), 1e-300), "Independent readings: multiply their densities."),
             (weights, "The readings change the weights."),
         ]
-        expect(
-            answer, (weights, measured, expected, std), right, 1e-6, mistakes=mistakes,
-            hint="Weights sum to 1. Far away, densities become 0: subtract the largest logarithm first.",
-        )  # fmt: skip
+        expect(answer, (weights, measured, expected, std), right, 1e-6, mistakes=mistakes,
+               hint="Weights sum to 1. Far away, densities become 0: subtract the largest logarithm first.")
 
 
 @task("08", points=2)
@@ -400,10 +394,8 @@ def mean_pose(answer: Answer, rng: Rng) -> None:
              "Headings on both sides of 0 have no arithmetic mean: use the mean of cosines and sines."),
             ((*particles[:, :2].mean(axis=0), right[2]), "Use the weights for the position."),
         ]
-        expect(
-            answer, (particles, weights), right, (1e-6, 1e-6, 0.02), angles=(2,), mistakes=mistakes,
-            hint="Weighted means of x and y, and the direction of the weighted mean of (cos, sin).",
-        )  # fmt: skip
+        expect(answer, (particles, weights), right, (1e-6, 1e-6, 0.02), angles=(2,), mistakes=mistakes,
+               hint="Weighted means of x and y, and the direction of the weighted mean of (cos, sin).")  # fmt: skip
 
 
 @task("09")
@@ -439,10 +431,8 @@ def random_fraction(answer: Answer, rng: Rng) -> None:
             (((1 - SLOW) * likelihood + SLOW * slow, (1 - FAST) * likelihood + FAST * fast, right[2]),
              "The rate is the weight of the new value."),
         ]
-        expect(
-            answer, (slow, fast, likelihood), right, 1e-9, mistakes=mistakes,
-            hint=f"average + rate (likelihood - average), with the rates {SLOW} and {FAST}; then 1 - fast / slow.",
-        )  # fmt: skip
+        expect(answer, (slow, fast, likelihood), right, 1e-9, mistakes=mistakes,
+               hint=f"average + rate (likelihood - average), with the rates {SLOW} and {FAST}; then 1 - fast / slow.")
         slow, fast = next_slow, next_fast
 
 

@@ -93,13 +93,9 @@ def record(address: str, motion: Legs | Steer, seconds: float = 0.0, sonars: Seq
                 truth = robot.truth() if is_simulated else None
                 truths.append((truth.x_in, truth.y_in, truth.steering_rad) if truth else (np.nan,) * 3)
     clock_s = np.array([state.clock_s or 0.0 for state in states])
-    return Drive(
-        clock_s - clock_s[0],
-        np.array([(state.x_in, state.y_in, state.steering_rad) for state in states]),
-        np.array([state.turret_rad for state in states]),
-        np.array([state.sonars_in for state in states], dtype=np.float64),
-        np.array(truths),
-    )
+    return Drive(clock_s - clock_s[0], np.array([(state.x_in, state.y_in, state.steering_rad) for state in states]),
+                 np.array([state.turret_rad for state in states]),
+                 np.array([state.sonars_in for state in states], dtype=np.float64), np.array(truths))
 
 
 def _drive(robot: Robot, before: RobotState, translation_in_s: float, turn_deg_s: float) -> RobotState:
@@ -130,10 +126,8 @@ def expected_ranges(poses: npt.ArrayLike, directions_rad: npt.ArrayLike, world: 
     return np.minimum(ranges.reshape(angles.shape) - RING_IN, 255.0)
 
 
-def run_filter(
-    address: str, own: OwnFactory, world: World, waypoints: Sequence[tuple[float, float]],
-    start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
-) -> Run:  # fmt: skip
+def run_filter(address: str, own: OwnFactory, world: World, waypoints: Sequence[tuple[float, float]],
+               start_std: tuple[float, float, float] = (0.1, 0.1, 0.01)) -> Run:  # fmt: skip
     """Drive to waypoints on the estimate of a filter class (docs/own-filter.md), from the pose of the encoders."""
     config = LocalizationConfig(world.walls, N150)
     with connect(address) as robot:

@@ -49,10 +49,8 @@ def step_pose(answer: Answer, rng: Rng) -> None:
             ((x - distance * sin(heading + turn / 2), y + distance * cos(heading + turn / 2), heading + turn),
              "Heading 0 is along x: x changes by the cosine, y by the sine."),
         ]
-        expect(
-            answer, (pose, distance, turn), drive_arc(pose, distance, turn), (0.02, 0.02, 1e-6), angles=(2,),
-            mistakes=mistakes, hint="Are cosine and sine taken of radians?",
-        )  # fmt: skip
+        expect(answer, (pose, distance, turn), drive_arc(pose, distance, turn), (0.02, 0.02, 1e-6), angles=(2,),
+               mistakes=mistakes, hint="Are cosine and sine taken of radians?")  # fmt: skip
 
 
 @task("01", points=2)
@@ -72,10 +70,8 @@ def relative_step(answer: Answer, rng: Rng) -> None:
             ((abs(distance), unwrapped), "Backwards the distance is negative, and the turn is in (-pi, pi]."),
             ((distance, -turn), "The turn is the heading after minus the heading before."),
         ]
-        expect(
-            answer, (before, after), (distance, turn), (0.05, 1e-6), mistakes=mistakes,
-            hint="Return the distance along the heading and the turn.",
-        )  # fmt: skip
+        expect(answer, (before, after), (distance, turn), (0.05, 1e-6), mistakes=mistakes,
+               hint="Return the distance along the heading and the turn.")  # fmt: skip
 
 
 @task("01")
@@ -90,10 +86,8 @@ def random_error(answer: Answer, rng: Rng) -> None:
         (np.mean(np.abs(errors) / distances), "Variances grow with the distance, not errors: square the errors."),
         (np.mean(errors / distances), "Errors of both signs cancel: square them first."),
     ]
-    expect(
-        answer, (distances, errors), alpha, 0.15 * alpha, mistakes=mistakes,
-        hint="The mean of error squared is alpha times the distance.",
-    )  # fmt: skip
+    expect(answer, (distances, errors), alpha, 0.15 * alpha, mistakes=mistakes,
+           hint="The mean of error squared is alpha times the distance.")  # fmt: skip
 
 
 @task("02")
@@ -124,10 +118,8 @@ def echo_point(answer: Answer, rng: Rng) -> None:
             ((x, y) + (RING_IN + reading) * left, "Sonars are numbered counter-clockwise."),
             ((RING_IN + reading) * u, "Add the position of the robot."),
         ]
-        expect(
-            answer, (x, y, turret, number, reading), (x, y) + (RING_IN + reading) * u, 0.1, mistakes=mistakes,
-            hint="Start at the axis and go along the direction of the sonar.",
-        )  # fmt: skip
+        expect(answer, (x, y, turret, number, reading), (x, y) + (RING_IN + reading) * u, 0.1, mistakes=mistakes,
+               hint="Start at the axis and go along the direction of the sonar.")  # fmt: skip
 
 
 @task("02", points=2)
@@ -202,10 +194,8 @@ def wall_on_the_right(answer: Answer, rng: Rng) -> None:
             ((distance - RING_IN, angle), "The distance is from the axis."),
             ((distance, degrees(angle)), "Radians, please."),
         ]
-        expect(
-            answer, (side, ahead), (distance, angle), (0.05, 0.005), mistakes=mistakes,
-            hint="Two points of the wall give its direction.",
-        )  # fmt: skip
+        expect(answer, (side, ahead), (distance, angle), (0.05, 0.005), mistakes=mistakes,
+               hint="Two points of the wall give its direction.")  # fmt: skip
 
 
 @task("03", points=2)
@@ -267,10 +257,8 @@ def fit_scale(answer: Answer, rng: Rng) -> None:
             (scale - 1, "That is the error; the scale is near 1."),
             (np.mean(measured - counted), "The error grows with the distance: a factor, not a difference."),
         ]
-        expect(
-            answer, (counted, measured), scale, 0.003, mistakes=mistakes,
-            hint="Minimize the squares of measured - scale * counted.",
-        )  # fmt: skip
+        expect(answer, (counted, measured), scale, 0.003, mistakes=mistakes,
+               hint="Minimize the squares of measured - scale * counted.")  # fmt: skip
 
 
 def _drives(rng: Rng, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
@@ -291,10 +279,8 @@ def fit_turn_and_drift(answer: Answer, rng: Rng) -> None:
             ((1 / scale, drift), "True turn per counted turn."),
             ((true @ turns / (turns @ turns), 0.0), "Driving straight turns the robot, too: the drift is not 0."),
         ]
-        expect(
-            answer, (distances, turns, true), (scale, drift), (0.003, 1e-4), mistakes=mistakes,
-            hint="Two unknowns: true = scale * turns + drift * distances. np.linalg.lstsq solves it.",
-        )  # fmt: skip
+        expect(answer, (distances, turns, true), (scale, drift), (0.003, 1e-4), mistakes=mistakes,
+               hint="Two unknowns: true = scale * turns + drift * distances. np.linalg.lstsq solves it.")  # fmt: skip
 
 
 @task("10", points=2)
@@ -315,10 +301,8 @@ def fit_std(answer: Answer, rng: Rng) -> None:
         (right[::-1], "The scale first, then the drift."),
         (sigma * np.sqrt(np.diag(information)), "More data makes the result more certain: the inverse of A' A."),
     ]
-    expect(
-        answer, (distances, turns, sigma), right, 0.06 * right, mistakes=mistakes,
-        hint="P = sigma^2 inv(A' A), with the columns turns and distances of A.",
-    )  # fmt: skip
+    expect(answer, (distances, turns, sigma), right, 0.06 * right, mistakes=mistakes,
+           hint="P = sigma^2 inv(A' A), with the columns turns and distances of A.")  # fmt: skip
 
 
 @task("10")

@@ -165,10 +165,8 @@ def truth_value(answer: Answer, *arguments: Any) -> bool:
     return bool(result)
 
 
-def expect(
-    answer: Answer, arguments: tuple[Any, ...], right: Any, tolerance: Any, *, angles: Sequence[int] = (),
-    mistakes: Mistakes = (), hint: str = "",
-) -> None:  # fmt: skip
+def expect(answer: Answer, arguments: tuple[Any, ...], right: Any, tolerance: Any, *, angles: Sequence[int] = (),
+           mistakes: Mistakes = (), hint: str = "") -> None:  # fmt: skip
     """Raise Wrong unless an answer returns the right numbers.
 
     Parameters
@@ -253,7 +251,6 @@ def _shown(value: Any) -> str:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             return repr(value)[:120]
-        return np.array2string(
-            array, precision=4, suppress_small=True, threshold=MAX_SHOWN * 3, edgeitems=2, separator=", "
-        ).replace("\n", "")
+        return np.array2string(array, precision=4, suppress_small=True, threshold=MAX_SHOWN * 3, edgeitems=2,
+                               separator=", ").replace("\n", "")
     return repr(value)[:120]

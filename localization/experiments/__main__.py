@@ -164,10 +164,8 @@ def draw(figure: Figure, setup: FigureSetup, tracks: Sequence[Track], folder: Pa
     # Both pictures show the same run, that of the median final error.
     track = figure_trial.typical(tracks)
     errors_name = figure.errors_figure or f"{figure.name}_errors"
-    pictures = {
-        folder / f"figure_{figure.name}.png": trajectory(figure, setup, track),
-        folder / f"figure_{errors_name}.png": errors(figure, tracks, track),
-    }
+    pictures = {folder / f"figure_{figure.name}.png": trajectory(figure, setup, track),
+                folder / f"figure_{errors_name}.png": errors(figure, tracks, track)}
     for path, picture in pictures.items():
         plot.save(picture, path)
     return list(pictures)

@@ -91,13 +91,10 @@ def table(scores: Sequence[Score]) -> str:
 
 
 def _parser() -> Parser:
-    parser = Parser(
-        prog="python -m localization.experiments baselines",
-        description="Run simple policies in the environments of Gymnasium (extra `gym`) and report how often they "
-        "succeed, how often the time limit cuts them, their mean reward and their mean duration; other episodes end "
-        "by a contact or with a wrong estimate.",
-        epilog="example: python -m localization.experiments baselines --episodes 20 --environments GoTo",
-    )
+    parser = execution.parser_of("baselines", "--episodes 20 --environments GoTo",
+                                 "Run simple policies in the environments of Gymnasium (extra `gym`) and report how "
+                                 "often they succeed, how often the time limit cuts them, their mean reward and their "
+                                 "mean duration; other episodes end by a contact or with a wrong estimate.")
     add_value(parser, "--episodes", "N", execution.positive, "episodes of each policy", 20)
     execution.add_choice(parser, "--environments", ENVIRONMENTS, list(ENVIRONMENTS), "environments")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")

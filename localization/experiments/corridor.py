@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import make_folder
-from localization.experiments.execution import text_table
+from localization.experiments.execution import parser_of, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import HEADING, Floats, add, difference, independent
 from localization.filters.health import HealthStatus
@@ -31,7 +31,7 @@ from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.run import Run, run_log
 from localization.live.sensor_input import LogRow, new_echoes
 from localization.plot import check_picture, save
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.errors import LogFileError
 from worlds.drawing import ESTIMATE, FAINT, TRUTH, blank
 from worlds.robots import N150, Body, read_model_file
@@ -187,13 +187,12 @@ def score(runs: Sequence[Run], walls: Floats) -> CorridorScore:
     def rms(values: Floats) -> float:
         return float(np.sqrt((values**2).mean()))
 
-    return CorridorScore(
-        MM * rms(off), MM * rms(odometry), float((off**2 / np.einsum("i,kij,j->k", across, cov, across)).mean()),
-        MM * rms(errors[:, :2] @ along), degrees(rms(errors[:, HEADING])),
-        degrees(float(np.abs(errors[:, HEADING]).mean())), float(is_degraded.mean()),
-        float(is_degraded[is_right].mean()) if is_right.any() else 0.0,
-        sum(each is HealthStatus.LOST for each in status) / len(status),
-    )  # fmt: skip
+    return CorridorScore(MM * rms(off), MM * rms(odometry),
+                         float((off**2 / np.einsum("i,kij,j->k", across, cov, across)).mean()),
+                         MM * rms(errors[:, :2] @ along), degrees(rms(errors[:, HEADING])),
+                         degrees(float(np.abs(errors[:, HEADING]).mean())), float(is_degraded.mean()),
+                         float(is_degraded[is_right].mean()) if is_right.any() else 0.0,
+                         sum(each is HealthStatus.LOST for each in status) / len(status))  # fmt: skip
 
 
 CASES: Final = {"random walk": (0.0, 0.0, 0.0), "with scale, turn and drift": SYSTEMATIC}
@@ -232,12 +231,9 @@ def _rows(text: str) -> tuple[int, int]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments corridor",
-        description="Run a filter on the sonar readings of a real corridor. Odometry is made of the poses of the data, "
-        "with the noise of the experiments; the map is two walls fitted to the echoes.",
-        epilog="example: python -m localization.experiments corridor --data udacity_corridor",
-    )
+    parser = parser_of("corridor", "--data udacity_corridor",
+                       "Run a filter on the sonar readings of a real corridor. Odometry is made of the poses of the "
+                       "data, with the noise of the experiments; the map is two walls fitted to the echoes.")
     parser.add_argument("--data", type=Path, required=True, metavar="FOLDER",
                         help="folder with measurement.txt and poses.txt (docs/real-data.md)")  # fmt: skip
     parser.add_argument("--rows", type=_rows, default=(FIRST_ROW, LAST_ROW), metavar="FIRST,LAST",

@@ -36,7 +36,7 @@ from localization.live.sensor_input import FiringSchedule, SensorData
 from localization.navigation.control_law import VelocityCommand
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import PERIOD_S, Speeds
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.state import Pose, RobotState
 from worlds.io import load_world
@@ -99,30 +99,28 @@ class Disturbance:
     seconds: float = 120.0
 
 
-ROWS: Final[Mapping[str, Disturbance]] = MappingProxyType(
-    {
-        "undisturbed": Disturbance(),
-        "sonars -1 in": Disturbance(offset_in=-1.0),
-        "sonars -0.5 in": Disturbance(offset_in=-0.5),
-        "sonars +0.5 in": Disturbance(offset_in=0.5),
-        "sonars +1 in": Disturbance(offset_in=1.0),
-        "ranges x 0.98": Disturbance(scale=0.98),
-        "ranges x 1.02": Disturbance(scale=1.02),
-        "map 1 % off": Disturbance(map_scale=1.01),
-        "map 2 % off": Disturbance(map_scale=1.02),
-        "wall missing": Disturbance(wall_off_in=math.nan),
-        "wall 3 in off": Disturbance(wall_off_in=3.0),
-        "person": Disturbance(person=True),
-        "carpet 8 %": Disturbance(wheel_scale=0.92),
-        "slips of 3 in": Disturbance(slip_in=3.0),
-        "slips of 6 in": Disturbance(slip_in=6.0),
-        "sonars +3 in": Disturbance(offset_in=3.0),
-        "clock 100 ms": Disturbance(clock_s=0.1),
-        "states at 2 Hz": Disturbance(poll=5),
-        "pressed: wall": Disturbance(target=(35.0, 110.0), seconds=600.0),
-        "pressed: post": Disturbance(target=(60.0, 80.0), seconds=600.0),
-    }
-)
+ROWS: Final[Mapping[str, Disturbance]] = MappingProxyType({
+    "undisturbed": Disturbance(),
+    "sonars -1 in": Disturbance(offset_in=-1.0),
+    "sonars -0.5 in": Disturbance(offset_in=-0.5),
+    "sonars +0.5 in": Disturbance(offset_in=0.5),
+    "sonars +1 in": Disturbance(offset_in=1.0),
+    "ranges x 0.98": Disturbance(scale=0.98),
+    "ranges x 1.02": Disturbance(scale=1.02),
+    "map 1 % off": Disturbance(map_scale=1.01),
+    "map 2 % off": Disturbance(map_scale=1.02),
+    "wall missing": Disturbance(wall_off_in=math.nan),
+    "wall 3 in off": Disturbance(wall_off_in=3.0),
+    "person": Disturbance(person=True),
+    "carpet 8 %": Disturbance(wheel_scale=0.92),
+    "slips of 3 in": Disturbance(slip_in=3.0),
+    "slips of 6 in": Disturbance(slip_in=6.0),
+    "sonars +3 in": Disturbance(offset_in=3.0),
+    "clock 100 ms": Disturbance(clock_s=0.1),
+    "states at 2 Hz": Disturbance(poll=5),
+    "pressed: wall": Disturbance(target=(35.0, 110.0), seconds=600.0),
+    "pressed: post": Disturbance(target=(60.0, 80.0), seconds=600.0),
+})
 """All rows by name."""
 
 
@@ -192,10 +190,8 @@ class Disturber:
         self._slip(time_s, is_driving, state.steering_rad)
         late_s = disturbance.clock_s * float(self._clock.random())
         x, y = self._slipped
-        return SensorData(
-            state.clock_s + late_s, state.x_in + x, state.y_in + y, state.steering_rad, state.turret_rad, sonars,
-            state.touching,
-        )  # fmt: skip
+        return SensorData(state.clock_s + late_s, state.x_in + x, state.y_in + y, state.steering_rad, state.turret_rad,
+                          sonars, state.touching)  # fmt: skip
 
     def _biased(self, reading_in: float) -> float:
         low, high = N150.ring.min_range_in, N150.ring.max_range_in
@@ -267,9 +263,8 @@ class Sample(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def record_drive(
-    setup: str, seed: int, wheel_scale: float, target: tuple[float, float] | None, seconds: float
-) -> tuple[float, tuple[Sample, ...]]:
+def record_drive(setup: str, seed: int, wheel_scale: float, target: tuple[float, float] | None,
+                 seconds: float) -> tuple[float, tuple[Sample, ...]]:
     """Return the clock at which the sonars start, and the samples of a drive: see `Disturbance` for the arguments.
 
     Most rows disturb the readings of one drive, or the map of the filter: they share it.
@@ -281,9 +276,8 @@ def record_drive(
     if target:
         x, y, heading = target[0] + 0.3 * (seed % 5 - 2), 55.0, 0.5 * math.pi
     start = Pose(float(x), float(y), heading, heading)
-    explorer = RandomExplorer(
-        roadmap, places, Speeds(translation_in_s=SPEED_IN_S), np.random.default_rng([seed, GOALS])
-    )
+    explorer = RandomExplorer(roadmap, places, Speeds(translation_in_s=SPEED_IN_S),
+                              np.random.default_rng([seed, GOALS]))
     # 2. The drive, steered by the truth.
     samples, command = [], VelocityCommand(0.0, 0.0)
     with simulated_robot(WORLD, scenario_of(setup, wheel_scale), seed, start) as robot:
@@ -333,20 +327,11 @@ def _tally(moments: Sequence[Moment]) -> Tally:
     error_in, squared = np.hypot(errors[:, 0], errors[:, 1]), nees(errors, covs)
     wrong = (error_in > WRONG_IN) & (nees(errors[:, :2], covs[:, :2, :2]) > THREE_SIGMA)
     right = error_in < RIGHT_IN
-    return Tally(
-        count=len(moments),
-        lost=int(error_in.max() > LOST_IN),
-        square_in2=math.fsum(error_in**2),
-        variance_in2=math.fsum(covs[:, 0, 0] + covs[:, 1, 1]),
-        nees=math.fsum(squared),
-        ok=int(ok.sum()),
-        ok_wrong=int((ok & wrong).sum()),
-        right=int(right.sum()),
-        ok_right=int((ok & right).sum()),
-        ok_nees=math.fsum(squared[ok]),
-        steps_in2=math.fsum((np.diff(errors[:, :2], axis=0) ** 2).ravel()),
-        odometry_steps_in2=math.fsum((np.diff(odometry[:, :2], axis=0) ** 2).ravel()),
-    )
+    return Tally(count=len(moments), lost=int(error_in.max() > LOST_IN), square_in2=math.fsum(error_in**2),
+                 variance_in2=math.fsum(covs[:, 0, 0] + covs[:, 1, 1]), nees=math.fsum(squared), ok=int(ok.sum()),
+                 ok_wrong=int((ok & wrong).sum()), right=int(right.sum()), ok_right=int((ok & right).sum()),
+                 ok_nees=math.fsum(squared[ok]), steps_in2=math.fsum((np.diff(errors[:, :2], axis=0) ** 2).ravel()),
+                 odometry_steps_in2=math.fsum((np.diff(odometry[:, :2], axis=0) ** 2).ravel()))
 
 
 def summarize(row: str, setup: str, method: str, tallies: Sequence[Tally]) -> dict[str, Any]:
@@ -405,9 +390,8 @@ def main(arguments: Sequence[str]) -> None:
         results = execution.run_cached(cases, cache, execution.executor_for(run, options), tally)
     # 3. The table, and the same as a file.
     rows = [
-        summarize(
-            row, setup, options.method, [results[case] for case in cases if (case.row, case.setup) == (row, setup)]
-        )
+        summarize(row, setup, options.method,
+                  [results[case] for case in cases if (case.row, case.setup) == (row, setup)])
         for row, setup in cells
     ]
     execution.write_results(options, f"disturbed_{options.method}.json", rows, table(rows))
@@ -415,19 +399,16 @@ def main(arguments: Sequence[str]) -> None:
 
 def run_cache(folder: Path, code: str) -> execution.ResultCache[Case, Tally]:
     """Return the cache of runs made by code with this hash."""
-    return execution.ResultCache(
-        folder, code, Tally, lambda case: (f"{case.setup}_{case.method}_{case.seed:04d}", (case, ROWS[case.row]))
-    )
+    return execution.ResultCache(folder, code, Tally,
+                                 lambda case: (f"{case.setup}_{case.method}_{case.seed:04d}", (case, ROWS[case.row])))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments disturbed",
-        description="A filter with the models of `nomad localize` under errors that these do not have: biased sonars, "
-        "wrong maps, slipping wheels, late clocks, contacts. For each the error, the consistency, and how often the "
-        "status is OK although the estimate is wrong. Results are cached.",
-        epilog="example: python -m localization.experiments disturbed --seeds 2 --setups measured",
-    )
+    parser = execution.parser_of("disturbed", "--seeds 2 --setups measured",
+                                 "A filter with the models of `nomad localize` under errors that these do not have: "
+                                 "biased sonars, wrong maps, slipping wheels, late clocks, contacts. For each the "
+                                 "error, the consistency, and how often the status is OK although the estimate is "
+                                 "wrong. Results are cached.")
     add_value(parser, "--seeds", "N", execution.positive, "number of runs per row", 20)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="first seed (default: %(default)s)")
     execution.add_choice(parser, "--rows", ROWS, list(ROWS), "disturbances")

@@ -30,7 +30,7 @@ import numpy as np
 
 from localization.experiments import figure_trial
 from localization.experiments.figure_trial import Figure, FigureResult, join_results, run, run_compiled
-from nclient.common.arguments import add_flag, add_value, whole_number
+from nclient.common.arguments import Parser, add_flag, add_value, whole_number
 from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError, install_command
 from worlds.compiled import is_compiled_for
@@ -83,9 +83,8 @@ def _worker_context() -> BaseContext:
     return context
 
 
-def on_cluster(
-    work: Callable[[Item], Result], items: Sequence[Item], address: str, code: Callable[[], object]
-) -> Iterator[Result]:
+def on_cluster(work: Callable[[Item], Result], items: Sequence[Item], address: str,
+               code: Callable[[], object]) -> Iterator[Result]:
     """Yield results of work on a Dask cluster.
 
     Parameters
@@ -168,9 +167,8 @@ class ResultCache(Generic[Item, Result]):
         numbers.
     """
 
-    def __init__(
-        self, folder: Path, code: str, result: Callable[..., Result], key: Callable[[Item], tuple[str, object]]
-    ) -> None:
+    def __init__(self, folder: Path, code: str, result: Callable[..., Result],
+                 key: Callable[[Item], tuple[str, object]]) -> None:
         self._folder, self._code, self._result, self._key = folder, code, result, key
 
     def path(self, item: Item) -> Path:
@@ -192,11 +190,9 @@ class ResultCache(Generic[Item, Result]):
         write_atomic(self.path(item), json.dumps(asdict(result)) + "\n", OutputFileError)  # type: ignore[call-overload]
 
 
-def run_cached(
-    items: Sequence[Item], cache: ResultCache[Item, Result],
-    work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
-    is_current: Callable[[Item], bool] = lambda _: True,
-) -> dict[Item, Result]:  # fmt: skip
+def run_cached(items: Sequence[Item], cache: ResultCache[Item, Result],
+               work: Callable[[Sequence[Item]], Iterator[tuple[Item, Result]]], tally: Tally,
+               is_current: Callable[[Item], bool] = lambda _: True) -> dict[Item, Result]:  # fmt: skip
     """Return the results of all runs in order, from the cache (if `is_current`) or by `work`; store each at once."""
     cached = {item: result for item in items if (result := cache.get(item)) is not None and is_current(item)}
     results = dict(cached)
@@ -264,9 +260,8 @@ def split_seeds(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_batch(
-    figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *, is_compiled: bool = False
-) -> FigureResult:
+def drive_batch(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None, *,
+                is_compiled: bool = False) -> FigureResult:
     """Simulate a figure once per seed and return what summary and pictures need.
 
     `tick` is called with the steps done: after each step, in machine code at the end.
@@ -298,7 +293,7 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambd
     context = _worker_context()
     counter = context.Value("q", 0)
     with ProcessPoolExecutor(min(jobs, len(parts)), context, _set_counter, (counter,)) as workers:
-        futures = [workers.submit(_drive_batch_counting, figure, part) for part in parts]
+        futures = [workers.submit(drive_batch, figure, part, _count_steps) for part in parts]
         # 4. Show their progress until all are done; the results are joined in the order of the seeds.
         waiting = set(futures)
         while waiting:
@@ -323,25 +318,19 @@ def _joined(parts: Iterable[FigureResult], tick: Tally) -> FigureResult:
     return join_results(sorted(done, key=lambda part: part.results[0].seed))
 
 
-def drive_on_cluster(
-    figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
-) -> FigureResult:
+def drive_on_cluster(figure: Figure, seeds: Sequence[int], address: str,
+                     report: Tally = lambda _: None) -> FigureResult:
     """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
     is_compiled = _is_compiled(figure, seeds)
-    firsts = range(0, len(seeds), _CLUSTER_BATCH)
-    items = [(figure, seeds[first : first + _CLUSTER_BATCH], is_compiled) for first in firsts]
-    parts = on_cluster(_drive_item, items, address, _compiled_code if is_compiled else code_hash)
-    return _joined(parts, _counting(report))
+    parts = [seeds[first : first + _CLUSTER_BATCH] for first in range(0, len(seeds), _CLUSTER_BATCH)]
+    work = partial(drive_batch, figure, is_compiled=is_compiled)
+    results = on_cluster(work, parts, address, _compiled_code if is_compiled else code_hash)
+    return _joined(results, _counting(report))
 
 
 def _compiled_code() -> tuple[str, bool]:
     """Return what workers must have in common to take steps in machine code: the code, and numba."""
     return code_hash(), find_spec("numba") is not None
-
-
-def _drive_item(item: tuple[Figure, Sequence[int], bool]) -> FigureResult:
-    figure, seeds, is_compiled = item
-    return drive_batch(figure, seeds, is_compiled=is_compiled)
 
 
 def _counting(report: Tally) -> Tally:
@@ -360,12 +349,8 @@ def _set_counter(counter: Synchronized[int]) -> None:
     _StepCounter.steps = counter
 
 
-def _drive_batch_counting(figure: Figure, seeds: Sequence[int]) -> FigureResult:
-    """Run `drive_batch` in a worker and count its steps for the parent."""
-    return drive_batch(figure, seeds, _count_steps)
-
-
 def _count_steps(steps: int) -> None:
+    """Count steps of a worker for its parent."""
     if _StepCounter.steps is not None:
         with _StepCounter.steps.get_lock():
             _StepCounter.steps.value += steps
@@ -391,9 +376,8 @@ def table_of(names: Mapping[str, str], columns: Iterable[Column], rows: Iterable
     return text_table(lines)
 
 
-def write_results(
-    options: argparse.Namespace, name: str, values: Sequence[object], text: str, more: object = None
-) -> None:
+def write_results(options: argparse.Namespace, name: str, values: Sequence[object], text: str,
+                  more: object = None) -> None:
     """Write values, or `more`, to a JSON file in the folder of --out; print the values as text, or as JSON for --json.
 
     Other words go to stderr with --json.
@@ -404,6 +388,12 @@ def write_results(
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
+def parser_of(command: str, example: str, description: str) -> Parser:
+    """Return the parser of a command; `example` has some of its arguments."""
+    prog = f"python -m localization.experiments {command}"
+    return Parser(prog=prog, description=description, epilog=f"example: {prog} {example}")
+
+
 NO_PICTURES: Final = "--no-pictures"
 
 
@@ -412,9 +402,8 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     add_value(parser, "--seeds", "N", positive, f"number of runs per {unit} (default: 100)", 100)
     add_execution_options(parser)
     add_output(parser, out, unit)
-    parser.add_argument(
-        NO_PICTURES, dest="pictures", action="store_false", help="write no pictures; matplotlib is not needed"
-    )
+    parser.add_argument(NO_PICTURES, dest="pictures", action="store_false",
+                        help="write no pictures; matplotlib is not needed")
 
 
 def add_output(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
@@ -428,10 +417,8 @@ def add_choice(parser: argparse.ArgumentParser, option: str, names: Iterable[str
     names = list(names)
     shown = "all" if default == names else " ".join(default) if isinstance(default, list) else default
     choices = ", ".join(names).replace("%", "%%")
-    parser.add_argument(
-        option, nargs="+" if isinstance(default, list) else None, choices=names, default=default, metavar="NAME",
-        help=f"{what}: {choices} (default: {shown})",
-    )  # fmt: skip
+    parser.add_argument(option, nargs="+" if isinstance(default, list) else None, choices=names, default=default,
+                        metavar="NAME", help=f"{what}: {choices} (default: {shown})")  # fmt: skip
 
 
 def add_execution_options(parser: argparse.ArgumentParser) -> None:
@@ -446,9 +433,8 @@ def add_execution_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def executor_for(
-    work: Callable[[Item], Result], options: argparse.Namespace
-) -> Callable[[Sequence[Item]], Iterator[Result]]:
+def executor_for(work: Callable[[Item], Result],
+                 options: argparse.Namespace) -> Callable[[Sequence[Item]], Iterator[Result]]:
     """Return the executor of work selected by the options of `add_execution_options`."""
     if options.cluster:
         return partial(on_cluster, work, address=options.cluster, code=code_hash)

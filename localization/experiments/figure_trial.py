@@ -53,15 +53,6 @@ from localization.filters.belief import (
 )
 from localization.filters.ekf import update_ring
 from localization.filters.odometry import predict_state, process_variance
-from localization.filters.sonar_ray import (
-    STRICT,
-    intersect_line,
-    line_of,
-    predict_beam,
-    predicted_variance,
-    range_variance,
-    wall_rows,
-)
 from localization.filters.update import NONE, apply_gain, pose_gain
 from localization.navigation import control_law
 from localization.navigation.control_law import ControlGains, is_reached, next_step, step_to
@@ -103,18 +94,16 @@ class Figure:
     steps_thesis: int | None = None
 
 
-FIGURES: Final[Mapping[str, Figure]] = MappingProxyType(
-    {
-        figure.name: figure
-        for figure in (
-            Figure("5.2", "Without the filter", "thesis_room", "5.3", filtered=False),
-            Figure("5.4", "With the filter", "thesis_room", "5.5", steps_thesis=1199),
-            Figure("5.6", "Badly chosen limits", "thesis_room", "5.7", gains=_BADLY_CHOSEN, steps_thesis=150),
-            Figure("5.8", "Guided path between several walls", "several_walls"),
-            Figure("5.9", "Guided path around a vertex", "centre_vertex"),
-        )
-    }
-)
+FIGURES: Final[Mapping[str, Figure]] = MappingProxyType({
+    figure.name: figure
+    for figure in (
+        Figure("5.2", "Without the filter", "thesis_room", "5.3", filtered=False),
+        Figure("5.4", "With the filter", "thesis_room", "5.5", steps_thesis=1199),
+        Figure("5.6", "Badly chosen limits", "thesis_room", "5.7", gains=_BADLY_CHOSEN, steps_thesis=150),
+        Figure("5.8", "Guided path between several walls", "several_walls"),
+        Figure("5.9", "Guided path around a vertex", "centre_vertex"),
+    )
+})
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,14 +147,9 @@ def figure_setup(figure: Figure) -> FigureSetup:
     """Return the configuration of a figure: the N150's ring, its turret turning with the steering as in the thesis."""
     world = load_world(figure.world)
     path = world.paths[figure.name]
-    return FigureSetup(
-        start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
-        goals_in=np.array(path.goals_in, dtype=np.float64),
-        walls=sonar_ray.wall_map(world.walls),
-        body=N150,
-        gains=figure.gains,
-        filtered=figure.filtered,
-    )
+    return FigureSetup(start=np.array([path.start.x_in, path.start.y_in, path.start.steering_rad]),
+                       goals_in=np.array(path.goals_in, dtype=np.float64), walls=sonar_ray.wall_map(world.walls),
+                       body=N150, gains=figure.gains, filtered=figure.filtered)
 
 
 _START, _MOTION, _SONAR = range(3)
@@ -302,24 +286,19 @@ def run_compiled(setup: FigureSetup, seeds: Sequence[int]) -> Runs:
     """
     drive_robots, trial = load_drive(), trial_of(setup)
     start, count, most = _start(setup, seeds), len(seeds), setup.max_steps
-    robots = Robots(
-        start.truth, start.belief.mean.copy(), start.belief.cov.copy(), start.bound.copy(),
-        start.leg.copy(), np.zeros(count, dtype=np.intp),
-    )  # fmt: skip
+    robots = Robots(start.truth, start.belief.mean.copy(), start.belief.cov.copy(), start.bound.copy(),
+                    start.leg.copy(), np.zeros(count, dtype=np.intp))  # fmt: skip
     poses, covariances = (most, count, 3), (most, count, 3, 3)
-    history = History(
-        np.zeros(poses), np.zeros(poses), np.zeros(covariances), np.zeros(covariances),
-        np.zeros((most, count)), np.zeros((most, count), dtype=np.intp),
-    )  # fmt: skip
+    history = History(np.zeros(poses), np.zeros(poses), np.zeros(covariances), np.zeros(covariances),
+                      np.zeros((most, count)), np.zeros((most, count), dtype=np.intp))  # fmt: skip
     is_moving = np.ones(count, dtype=np.bool_)
     for motion_error, sonar_error in draw_blocks(seeds, len(setup.body.sonar_angles_rad)):
         drive_robots(robots, history, motion_error, sonar_error, is_moving, trial)
         if not is_moving.any():
             break
     longest = slice(int(robots.steps.max()))
-    truth, mean, cov, bound, nis = (rows[longest] for rows in history[:-1])
-    reached, used = robots.leg == len(setup.goals_in), history.used[longest]
-    return Runs(tuple(seeds), robots.steps, reached, truth, mean, cov, bound, nis, used)
+    states: Any = (rows[longest] for rows in history)
+    return Runs(tuple(seeds), robots.steps, robots.leg == len(setup.goals_in), *states)
 
 
 def _start(setup: FigureSetup, seeds: Sequence[int]) -> Batch:
@@ -449,47 +428,31 @@ class Summary(TypedDict):
 
 def figure_result(runs: Runs, filtered: bool) -> FigureResult:
     """Return the results of runs; NEES, NIS and the bound only with a filter."""
-    results = []
-    tracks = []
+    results, tracks = [], []
     # One row of the arrays per seed; after its last step a row has no meaning.
     for row, seed in enumerate(runs.seeds):
         span = slice(int(runs.steps[row]))
         track = Track(seed, runs.truth[span, row], runs.mean[span, row], runs.cov[span, row])
-        # Bound on the squared position error: the trace of the position block of the covariance bound.
+        # 1. Estimate minus truth (T, 3), headings wrapped.
+        error = difference(track.mean, track.truth)
+        square = error[:, 0] ** 2 + error[:, 1] ** 2
+        # 2. Bound on the squared position error: the trace of the position block of the covariance bound.
         bound = runs.bound[span, row, 0, 0] + runs.bound[span, row, 1, 1]
-        extra = (runs.nis[span, row], runs.used[span, row], bound)
-        sums = [math.fsum(values) for values in extra] if filtered else [0.0, 0.0, 0.0]
-        results.append(_result(track, bool(runs.reached[row]), filtered, sums))
+        sums = [0.0] * 4
+        if filtered:
+            extra = (nees(error, track.cov), runs.nis[span, row], runs.used[span, row], bound)
+            sums = [math.fsum(values) for values in extra]
+        results.append(SeedResult(seed, len(error), bool(runs.reached[row]), math.sqrt(square[-1]), math.fsum(square),
+                                  math.fsum(error[:, 2] ** 2), *sums))
         if seed < TRACKED_SEEDS:
             tracks.append(track)
     return FigureResult(tuple(results), tuple(tracks))
 
 
-def _result(track: Track, reached: bool, filtered: bool, sums: list[float]) -> SeedResult:
-    # Estimate minus truth (T, 3), headings wrapped.
-    error = difference(track.mean, track.truth)
-    square = error[:, 0] ** 2 + error[:, 1] ** 2
-    nis, used, bound = sums
-    return SeedResult(
-        seed=track.seed,
-        steps=len(error),
-        reached=reached,
-        end_error_in=math.sqrt(square[-1]),
-        position_in2=math.fsum(square),
-        heading_rad2=math.fsum(error[:, 2] ** 2),
-        nees=math.fsum(nees(error, track.cov)) if filtered else 0.0,
-        nis=nis,
-        used=used,
-        bound_in2=bound,
-    )
-
-
 def join_results(parts: Sequence[FigureResult]) -> FigureResult:
     """Return the results of several batches as one, in the given order."""
-    return FigureResult(
-        tuple(result for part in parts for result in part.results),
-        tuple(track for part in parts for track in part.tracks),
-    )
+    return FigureResult(tuple(result for part in parts for result in part.results),
+                        tuple(track for part in parts for track in part.tracks))
 
 
 def summarize(figure: Figure, results: Sequence[SeedResult]) -> Summary:
@@ -578,9 +541,8 @@ def copy_row(row: Any, to: Any) -> None:
 def make_drive(sources: int) -> Drive:
     """Return the loop in Python; the checksum of what it calls is part of its key in numba's cache."""
 
-    def drive_robots(
-        robots: Any, history: Any, motion_error: Floats, sonar_error: Floats, is_moving: Any, trial: Any
-    ) -> None:
+    def drive_robots(robots: Any, history: Any, motion_error: Floats, sonar_error: Floats, is_moving: Any,
+                     trial: Any) -> None:
         """Drive n robots for k steps, in place, or to their last goals.
 
         Parameters
@@ -591,15 +553,14 @@ def make_drive(sources: int) -> Drive:
             (n,), overwritten: True for each that has a goal left and a row left in the history.
         """
         truth, mean, cov, bound, leg, steps = robots
-        goals, noise, sonar, gate, walls, angles_rad = (
-            trial.goals_in, trial.noise, trial.sonar, trial.gate, trial.walls, trial.angles_rad,
-        )  # fmt: skip
+        goals, noise, sonar, gate, walls, angles_rad = (trial.goals_in, trial.noise, trial.sonar, trial.gate,
+                                                        trial.walls, trial.angles_rad)  # fmt: skip
         count = len(angles_rad)
         # By beam; each is written before it is read. Lists: numba compiles `np.zeros` for seconds.
         H, is_used = [(0.0, 0.0, 0.0) for _ in range(count)], [False for _ in range(count)]
         R, innovation = [0.0 for _ in range(count)], [0.0 for _ in range(count)]
         change, before = mean[0].copy(), mean[0].copy()
-        rows = wall_rows(walls)
+        rows = sonar_ray.wall_rows(walls)
         listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
             x, P = mean[i], cov[i]
@@ -630,19 +591,20 @@ def make_drive(sources: int) -> Drive:
                     wall = nearest_wall(truth[i, 0], truth[i, 1], dx, dy, rows)[1]
                     if wall == NO_WALL:
                         continue
-                    along, slope, _ = intersect_line(truth[i, 0], truth[i, 1], dx, dy, line_of(wall, listed), 0.0)
-                    R_true = range_variance(sonar, along - trial.ring_in)
+                    line = sonar_ray.line_of(wall, listed)
+                    along, slope, _ = sonar_ray.intersect_line(truth[i, 0], truth[i, 1], dx, dy, line, 0.0)
+                    R_true = sonar_ray.range_variance(sonar, along - trial.ring_in)
                     K, S = pose_gain(bound[i], slope, R_true)
                     add_outer(bound[i], -S, K)
                     reading = along - trial.ring_in + sqrt(R_true) * sonar_error[k, i, beam]
                     if not sonar.lowest_in < reading < sonar.highest_in:
                         continue
                     # 5. The expected reading, and the chi-square gate; linearised at the mean before the whole ring.
-                    expected = predict_beam(x, P, angles_rad[beam], trial.ring_in, listed, gate, 0.0)
+                    expected = sonar_ray.predict_beam(x, P, angles_rad[beam], trial.ring_in, listed, gate, 0.0)
                     if expected.refusal != NONE:
                         continue
-                    R_beam, error = range_variance(sonar, expected.range_in), reading - expected.range_in
-                    if error * error <= trial.threshold * (predicted_variance(P, expected.H) + R_beam):
+                    R_beam, error = sonar_ray.range_variance(sonar, expected.range_in), reading - expected.range_in
+                    if error * error <= trial.threshold * (sonar_ray.predicted_variance(P, expected.H) + R_beam):
                         innovation[beam], R[beam], is_used[beam] = error, R_beam, True
                         H[beam] = expected.H
                         used += 1
@@ -686,15 +648,10 @@ def load_drive() -> Drive:
 
 def trial_of(setup: FigureSetup) -> Trial:
     """Return a configuration as compiled code takes it."""
-    return Trial(
-        goals_in=np.ascontiguousarray(setup.goals_in, dtype=np.float64),
-        waypoint_radius_in=float(setup.waypoint_radius_in),
-        gains=compiled.row_of(GainsRow, setup.gains),
-        noise=compiled.row_of(compiled.NoiseRow, setup.noise),
-        sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
-        gate=compiled.row_of(compiled.GateRow, STRICT),
-        threshold=STRICT.threshold,
-        walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
-        angles_rad=np.ascontiguousarray(setup.angles_rad),
-        ring_in=float(setup.body.sonar_ring_radius_in),
-    )
+    return Trial(goals_in=np.ascontiguousarray(setup.goals_in, dtype=np.float64),
+                 waypoint_radius_in=float(setup.waypoint_radius_in), gains=compiled.row_of(GainsRow, setup.gains),
+                 noise=compiled.row_of(compiled.NoiseRow, setup.noise),
+                 sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
+                 gate=compiled.row_of(compiled.GateRow, sonar_ray.STRICT), threshold=sonar_ray.STRICT.threshold,
+                 walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
+                 angles_rad=np.ascontiguousarray(setup.angles_rad), ring_in=float(setup.body.sonar_ring_radius_in))

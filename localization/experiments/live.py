@@ -24,7 +24,7 @@ from localization.experiments.live_trial import Cell, Trial, TrialResult
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.plot import save
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from worlds.drawing import blank, require_matplotlib
 
 if TYPE_CHECKING:
@@ -112,10 +112,10 @@ def _draw(matrix: Matrix, path: Path) -> None:
     # 3. One panel per column of the table; missing cells become NaN, which imshow leaves white.
     for number, (axes, column) in enumerate(zip(panels, COLUMNS, strict=True)):
         grid = [
-            [_number(found.get(Cell(scenario, figure, method), {}).get(column.key)) for scenario, figure in across]
+            [found.get(Cell(scenario, figure, method), {}).get(column.key) for scenario, figure in across]
             for method in down
         ]
-        _panel(axes, column, np.array(grid))
+        _panel(axes, column, np.array(grid, dtype=np.float64))
         axes.set_xticks(range(len(across)), [f"{scenario}\n{figure}" for scenario, figure in across], fontsize=7)
         axes.set_yticks(range(len(down)), down if number % 4 == 0 else [""] * len(down))
     runs = next(iter(matrix.values()))["seeds"]
@@ -129,17 +129,10 @@ def _panel(axes: Axes, column: Column, grid: np.typing.NDArray[np.float64]) -> N
     worst = max(float(np.nanmax(bad, initial=0.0)), 1e-9)
     axes.imshow(bad, cmap="OrRd", vmin=0.0, vmax=2.0 * worst, aspect="auto")
     for (line, place), value in np.ndenumerate(grid):
-        axes.text(place, line, _written(float(value), column.form), ha="center", va="center", fontsize=7)
+        text = "-" if math.isnan(value) else format(value, column.form)
+        axes.text(place, line, text, ha="center", va="center", fontsize=7)
     axes.set_title(column.title, fontsize=9)
     axes.tick_params(length=0)
-
-
-def _number(value: float | str | None) -> float:
-    return float("nan") if value is None else float(value)
-
-
-def _written(value: float | str | None, form: str) -> str:
-    return "-" if value is None or math.isnan(float(value)) else format(float(value), form)
 
 
 def lines(clock_s: Floats, poses: Floats) -> str:
@@ -196,10 +189,8 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def collect(
-    requested: Sequence[Trial], cache: execution.ResultCache[Trial, TrialResult], paths: Path | None, work: Executor,
-    tally: execution.Tally,
-) -> dict[Trial, TrialResult]:  # fmt: skip
+def collect(requested: Sequence[Trial], cache: execution.ResultCache[Trial, TrialResult], paths: Path | None,
+            work: Executor, tally: execution.Tally) -> dict[Trial, TrialResult]:  # fmt: skip
     """Return the results of all trials in order, from the cache or by running them.
 
     With a folder `paths`, trials whose path files are missing or older than the result are run again.
@@ -225,13 +216,10 @@ def _has_paths(folder: Path, trial: Trial, cache: execution.ResultCache[Trial, T
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments live",
-        description="Compare filters on simulated robots driven over the same interface as real ones: RMSE, "
-        "consistency, jitter, computing time, lost runs. Results are cached. The numbers of `smoother` apply to poses "
-        "about 2 s ago.",
-        epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
-    )
+    parser = execution.parser_of("live", "--scenario exact --methods ekf ukf --seeds 10",
+                                 "Compare filters on simulated robots driven over the same interface as real ones: "
+                                 "RMSE, consistency, jitter, computing time, lost runs. Results are cached. The "
+                                 "numbers of `smoother` apply to poses about 2 s ago.")
     execution.add_choice(parser, "--scenario", live_trial.SCENARIOS, list(live_trial.SCENARIOS), "error scenarios")
     execution.add_choice(parser, "--figures", live_trial.COURSES, list(live_trial.COURSES), "paths of these figures")
     execution.add_choice(parser, "--methods", METHODS, list(live_trial.COMPARED), "filters")

@@ -53,10 +53,9 @@ START_STD: Final = (0.2, 0.2, 0.01)
 """Initial standard deviations: inches, inches, radians."""
 QUIET: Final = OdometryNoise(translation_std=0.05, rotation_std=0.05, drift_std=0.002)
 """Odometry noise of scenarios without noise in the simulation."""
-EXACT_RAYS: Final = RaySonar(
-    range_std_relative=0.0, range_std_floor_in=0.02, rounding_var_in2=WIRE_SONAR.rounding_var_in2,
-    lowest_in=WIRE_SONAR.lowest_in, highest_in=WIRE_SONAR.highest_in,
-)
+EXACT_RAYS: Final = RaySonar(range_std_relative=0.0, range_std_floor_in=0.02,
+                             rounding_var_in2=WIRE_SONAR.rounding_var_in2, lowest_in=WIRE_SONAR.lowest_in,
+                             highest_in=WIRE_SONAR.highest_in)
 """Rays without noise, in whole inches."""
 SCALE, BAD = 1, 2
 """Random streams of a seed."""
@@ -122,22 +121,19 @@ class Scenario:
         return (self.scale_std,) if self.scale_std else ()
 
 
-_MEASURED: Final = Scenario(
-    "measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2, judged_after_in=24.0
-)
-SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
-    {
-        scenario.name: scenario
-        for scenario in (
-            Scenario("exact", "ideal", EXACT_RAYS),
-            Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            _MEASURED,
-            # Over the serial protocol, which has neither timestamps nor a fine clock.
-            Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            replace(_MEASURED, name="measured_line", line=True),
-        )
-    }
-)
+_MEASURED: Final = Scenario("measured", "measured", ConeSonar(), scale_std=0.05, outlier_fraction=0.2,
+                            judged_after_in=24.0)
+SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType({
+    scenario.name: scenario
+    for scenario in (
+        Scenario("exact", "ideal", EXACT_RAYS),
+        Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
+        _MEASURED,
+        # Over the serial protocol, which has neither timestamps nor a fine clock.
+        Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
+        replace(_MEASURED, name="measured_line", line=True),
+    )
+})
 """`exact`: exact rays. `noisy`: rays and odometry with the noise of the figures. `measured`: the sonars of a real ring,
 a fifth of the readings outliers, and an unknown scale. `_line`: the same over the serial protocol."""
 
@@ -266,9 +262,8 @@ def drive(scenario: Scenario, figure: str, seed: int, periods: int = MAX_PERIODS
 
 
 @contextmanager
-def simulated_robot(
-    world: str, scenario: Scenario, seed: int, start: Pose | StartPose, *, line: bool = False
-) -> Iterator[Robot]:
+def simulated_robot(world: str, scenario: Scenario, seed: int, start: Pose | StartPose, *,
+                    line: bool = False) -> Iterator[Robot]:
     """Provide a robot in its own simulation of a shipped world or a file; its time advances with the exchanges only."""
     pose = f"{start.x_in},{start.y_in},{np.degrees(start.steering_rad)},{np.degrees(start.turret_rad)}"
     with tempfile.TemporaryDirectory() as folder:
@@ -280,9 +275,8 @@ def simulated_robot(
             yield robot
 
 
-def _start_localizer(
-    robot: Robot, scenario: Scenario, world: World, figure: str, seed: int
-) -> tuple[Localizer, BadReadings]:
+def _start_localizer(robot: Robot, scenario: Scenario, world: World, figure: str,
+                     seed: int) -> tuple[Localizer, BadReadings]:
     """Return the localizer, its initial estimate drawn from START_STD, and the source of outliers."""
     start = world.paths[figure].start
     # 1. Firing schedule: the clock of this reply is that of the first sonar.
@@ -297,9 +291,8 @@ def _start_localizer(
     return localizer, BadReadings(scenario.outlier_fraction, schedule, np.random.default_rng([seed, BAD]))
 
 
-def _follow(
-    robot: Robot, localizer: Localizer, outliers: BadReadings, navigator: Navigator, periods: int, timer: Timer
-) -> list[Period]:
+def _follow(robot: Robot, localizer: Localizer, outliers: BadReadings, navigator: Navigator, periods: int,
+            timer: Timer) -> list[Period]:
     """Drive on the estimate until the last goal or for `periods` periods."""
     followed: list[Period] = []
     for _ in range(periods):
@@ -339,10 +332,8 @@ def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     covs = np.stack([estimates[k].belief.cov[:3, :3] for k in fresh])
     # 3. Truth, encoders and distance at the times of the estimates, which may lie between states.
     distance = np.interp(clock, polled_s, distance)
-    return Record(
-        seed, reached, clock, distance, _interpolate(clock, polled_s, truth), _interpolate(clock, polled_s, encoders),
-        means, covs, spent,
-    )  # fmt: skip
+    return Record(seed, reached, clock, distance, _interpolate(clock, polled_s, truth),
+                  _interpolate(clock, polled_s, encoders), means, covs, spent)  # fmt: skip
 
 
 def _interpolate(clock_s: Floats, polled_s: Floats, poses: Floats) -> Floats:
@@ -445,19 +436,12 @@ def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
     # 2. Position inside the 95 % ellipse: its squared Mahalanobis distance is below the quantile.
     within = nees(errors[:, :2], covs[:, :2, :2]) <= chi_square_quantile(0.95, 2)
     # 3. Sums, not means: trials of different lengths can then be combined exactly.
-    return TrialResult(
-        seed=record.seed,
-        reached=record.reached,
-        judged=len(errors),
-        position_in2=math.fsum(square),
-        heading_rad2=math.fsum(errors[:, 2] ** 2),
-        nees=math.fsum(nees(errors, covs)),
-        within=int(within.sum()),
-        worst_in=math.sqrt(max(square, default=0.0)),
-        estimate_steps_in2=_squared_steps(record.error),
-        odometry_steps_in2=_squared_steps(difference(record.encoders, record.truth)),
-        spent_us=1e6 * float(np.median(record.spent_s)),
-    )
+    return TrialResult(seed=record.seed, reached=record.reached, judged=len(errors), position_in2=math.fsum(square),
+                       heading_rad2=math.fsum(errors[:, 2] ** 2), nees=math.fsum(nees(errors, covs)),
+                       within=int(within.sum()), worst_in=math.sqrt(max(square, default=0.0)),
+                       estimate_steps_in2=_squared_steps(record.error),
+                       odometry_steps_in2=_squared_steps(difference(record.encoders, record.truth)),
+                       spent_us=1e6 * float(np.median(record.spent_s)))
 
 
 def summarize(results: Sequence[TrialResult]) -> LiveSummary:
@@ -538,9 +522,8 @@ class TrialJob(NamedTuple):
     whole: bool = False
 
 
-def trials(
-    scenarios: Iterable[str], figures: Sequence[str], methods: Sequence[str], seeds: int, periods: int = MAX_PERIODS
-) -> list[Trial]:
+def trials(scenarios: Iterable[str], figures: Sequence[str], methods: Sequence[str], seeds: int,
+           periods: int = MAX_PERIODS) -> list[Trial]:
     """Return all trials, cell by cell."""
     return [
         Trial(replace(SCENARIOS[scenario], method=method), figure, seed, periods)

@@ -42,9 +42,9 @@ from localization.navigation.control_law import STAND, TURN_RAD_S, RecoveryBehav
 from localization.navigation.path import sample_waypoints
 from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
-from nclient.common.arguments import Parser, add_value, whole_number
+from nclient.common.arguments import add_value, whole_number
 from nclient.robot import Robot
-from nclient.state import Pose, RobotState
+from nclient.state import Pose
 from worlds.io import load_world, world_names
 from worlds.robots import N150
 from worlds.world import World
@@ -210,18 +210,14 @@ def drive(case: Case) -> LostResult:
             if alike := aliases.aliases(_pose(pose)):
                 break
     with simulated_robot(case.world, case.scenario, case.seed, pose) as robot:
-        run = _Run(robot, case, world, positions, pose, alike, aliases)
-        result = run.drive()
-    return replace(result, alike=len(alike), stated=run.stated, unambiguous_s=run.unambiguous_s)
+        return _Run(robot, case, world, positions, pose, alike, aliases).drive()
 
 
 class _Run:
     """A run in progress."""
 
-    def __init__(
-        self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats],
-        aliases: AliasFinder | None,
-    ) -> None:  # fmt: skip
+    def __init__(self, robot: Robot, case: Case, world: World, positions: Floats, pose: Pose, alike: Sequence[Floats],
+                 aliases: AliasFinder | None) -> None:  # fmt: skip
         self._robot, self._case, self._positions, self._aliases = robot, case, positions, aliases
         schedule, state = restart_ring(robot, N150.ring)
         assert state.clock_s is not None
@@ -240,9 +236,8 @@ class _Run:
             initial = with_parameters(independent(guess, START_STD), case.scenario.constants)
         # 3. Filter, outliers and controller, each with its own random stream of the seed.
         clearance = N150.radius_in
-        config = LocalizationConfig(
-            world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
-        )
+        config = LocalizationConfig(world.walls, N150, case.scenario.odometry, case.scenario.sonar,
+                                    clearance_in=clearance)
         self._filter = finder(config, initial, case.scenario.constants, cached_search(config))
         self._localizer = Localizer(config, self._filter.belief, schedule, self._filter)
         self._outliers = BadReadings(case.scenario.outlier_fraction, schedule, np.random.default_rng([case.seed, BAD]))
@@ -253,8 +248,9 @@ class _Run:
         # 4. Counters of `_until`, and the last true pose and time.
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
-        self.stated: list[list[tuple[float, bool]]] = []
-        self.unambiguous_s: float | None = None
+        self._alike = len(alike)
+        self._unambiguous_s: float | None = None
+        self._stated: list[list[tuple[float, bool]]] = []
         self._periods = 0
         self._truth = _pose(pose)
         self._now_s = 0.0
@@ -340,10 +336,10 @@ class _Run:
         self._periods += 1
         if self._periods % round(1.0 / PERIOD_S):
             return
-        if self.unambiguous_s is None and self._aliases and not self._aliases.aliases(self._truth):
-            self.unambiguous_s = self._now_s
+        if self._unambiguous_s is None and self._aliases and not self._aliases.aliases(self._truth):
+            self._unambiguous_s = self._now_s
         if estimate.places:
-            self.stated.append([
+            self._stated.append([
                 (round(place.probability, 4), _is_right(place.belief.mean, self._truth)) for place in estimate.places
             ])  # fmt: skip
 
@@ -357,21 +353,19 @@ class _Run:
         # 2. Estimate from the state with outliers.
         estimate = self._localizer.update(self._outliers.apply(state))
         # 3. Command from the estimate alone.
-        command = self._command(state, estimate)
+        if estimate.health.status is HealthStatus.LOST:
+            command = self._explorer.recover(state, estimate.informative_turn_rad)
+        else:
+            command = self._explorer.command(estimate.pose)
         self._robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
         return estimate
 
-    def _command(self, state: RobotState, estimate: Estimate) -> VelocityCommand:
-        if estimate.health.status is HealthStatus.LOST:
-            return self._explorer.recover(state, estimate.informative_turn_rad)
-        return self._explorer.command(estimate.pose)
-
-    def _outcome(
-        self, lost_after_s: float | None = None, found_after_s: float | None = None, right: bool = False
-    ) -> LostResult:
+    def _outcome(self, lost_after_s: float | None = None, found_after_s: float | None = None,
+                 right: bool = False) -> LostResult:
         rmse = float(np.sqrt(np.mean(self._squares))) if self._squares else None
         degraded = self._degraded / self._polls if self._polls else 0.0
-        return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right)
+        return LostResult(self._now_s, self._alarms, degraded, rmse, lost_after_s, found_after_s, right, self._alike,
+                          self._stated, self._unambiguous_s)  # fmt: skip
 
 
 def free_positions(world: World) -> Floats:
@@ -532,16 +526,11 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
     # 3. Numbers of starts that look like others, and of the probabilities that are stated meanwhile.
     unique = [result for result in results if not result.alike]
     stated = [instant for result in results for instant in result.stated]
-    return replace(
-        summary,
-        alike=len(results) - len(unique),
-        unique_found=sum(result.found_after_s is not None and result.right for result in unique),
-        early=sum(result.is_early for result in results),
-        brier=brier_score(stated),
-        brier_expected=expected_brier_score(stated),
-        brier_std=brier_excess_std([result.stated for result in results]),
-        reliability=reliability(stated),
-    )
+    return replace(summary, alike=len(results) - len(unique),
+                   unique_found=sum(result.found_after_s is not None and result.right for result in unique),
+                   early=sum(result.is_early for result in results), brier=brier_score(stated),
+                   brier_expected=expected_brier_score(stated),
+                   brier_std=brier_excess_std([result.stated for result in results]), reliability=reliability(stated))
 
 
 Stated = Sequence[Sequence[tuple[float, bool]]]
@@ -730,21 +719,17 @@ def _kind(text: str) -> Kind:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments lost",
-        description="Long runs of the method `finder`: tracking (calm), in which every LOST is a false alarm; robots "
-        "moved elsewhere (kidnapped); robots with an unknown start (nowhere), a start that looks like the true one "
-        "(door), or one of the two (uncertain). Results are cached.",
-        epilog="example: python -m localization.experiments lost kidnapped --runs 20",
-    )
+    parser = execution.parser_of("lost", "kidnapped --runs 20",
+                                 "Long runs of the method `finder`: tracking (calm), in which every LOST is a false "
+                                 "alarm; robots moved elsewhere (kidnapped); robots with an unknown start (nowhere), "
+                                 "a start that looks like the true one (door), or one of the two (uncertain). Results "
+                                 "are cached.")
     parser.add_argument(
         "kinds", nargs="*", type=_kind, default=[kind for kind in Kind if kind not in GIVEN], metavar="KIND",
         help=f"kinds of runs: {', '.join(kind.value for kind in Kind)} (default: all but door and uncertain)",
     )  # fmt: skip
-    parser.add_argument(
-        "--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
-        help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})",
-    )  # fmt: skip
+    parser.add_argument("--world", "--worlds", dest="worlds", nargs="+", default=[WORLD], metavar="WORLD",
+                        help=f"shipped worlds or world files: {', '.join(world_names())} (default: {WORLD})")
     execution.add_choice(parser, "--scenario", SCENARIOS, "measured", "error scenario")
     numbers = ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items())
     add_value(parser, "--runs --seeds", "N", execution.positive, f"number of runs of each kind (default: {numbers})")

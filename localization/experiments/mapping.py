@@ -34,33 +34,25 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.experiments.execution import add_choice, add_shared, executor_for, progress, text_table
+from localization.experiments.execution import add_choice, add_shared, executor_for, parser_of, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
 from localization.live.localizer import Localizer
-from localization.live.sensor_input import FiringSchedule, FiringTime, SensorData
+from localization.live.sensor_input import FiringSchedule, SensorData
+from localization.mapping import measurements
 from localization.mapping.explore import Explorer
 from localization.mapping.learn import learn_map
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import (
-    DriveCollector,
-    DriveLog,
-    compose,
-    read_drive,
-    relative_pose,
-    rigid_fit,
-    rotate,
-)
+from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.survey import survey
 from localization.navigation.control_law import MODEL_LIMITS
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator, stop_on_exit, wait_for_next_state
 from nclient import connect
-from nclient.common.arguments import Parser
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
-from nclient.state import RobotState, Truth
+from nclient.state import Truth
 from nserver_emu.simulation.acoustics import Polaroid, Surfaces
 from nserver_emu.simulation.noise import SETUPS as SIMULATIONS
 from worlds.geometry import lengths, nearest_points, polygon_segments
@@ -72,18 +64,13 @@ from worlds.world import Polygon, StartPose, World
 Point = tuple[float, float]
 
 TOURS: Final[dict[str, tuple[Point, ...]]] = {
-    "thesis_room": (
-        (60, 40), (84, 84), (6, 84), (6, 6), (84, 6), (84, 84), (45, 45), (6, 45), (60, 10), (84, 45), (20, 84), (0, 0),
-        (45, 20), (84, 20), (84, 70), (30, 70),
-    ),
-    "several_walls": (
-        (30, 20), (35, 6), (32, 22), (-1, 24), (32, 24), (35, 56), (-1, 56), (4, 84), (44, 86), (44, 60), (76, 58),
-        (76, 86), (86, 42), (64, 42), (63, 6), (86, 6), (63, 8), (63, 42), (40, 55), (0, 57), (20, 70),
-    ),
-    "centre_vertex": (
-        (10, 60), (84, 60), (80, 6), (70, 20), (84, 84), (45, 45), (6, 84), (24, 30), (14, 4), (6, 45), (60, 60),
-        (84, 70), (84, 20), (50, 45), (30, 50), (20, 20),
-    ),
+    "thesis_room": ((60, 40), (84, 84), (6, 84), (6, 6), (84, 6), (84, 84), (45, 45), (6, 45), (60, 10), (84, 45),
+                    (20, 84), (0, 0), (45, 20), (84, 20), (84, 70), (30, 70)),
+    "several_walls": ((30, 20), (35, 6), (32, 22), (-1, 24), (32, 24), (35, 56), (-1, 56), (4, 84), (44, 86), (44, 60),
+                      (76, 58), (76, 86), (86, 42), (64, 42), (63, 6), (86, 6), (63, 8), (63, 42), (40, 55), (0, 57),
+                      (20, 70)),
+    "centre_vertex": ((10, 60), (84, 60), (80, 6), (70, 20), (84, 84), (45, 45), (6, 84), (24, 30), (14, 4), (6, 45),
+                      (60, 60), (84, 70), (84, 20), (50, 45), (30, 50), (20, 20)),
 }  # fmt: skip
 """Waypoints along all walls and past all vertices; at most 300 s of driving."""
 LONG_TOURS: Final[dict[str, tuple[Point, ...]]] = {
@@ -275,38 +262,33 @@ def drive(trial: Trial, points: Sequence[Point], folder: Path) -> Drive:
                 break
             after = robot.drive(translation_in_s=_slowed(command[0], navigator, seen), steering_rad_s=command[1])
             state = wait_for_next_state(robot, state, after, lambda _: None)
-    return Drive(read_drive(path), np.array(truth))
+    return Drive(measurements.read_drive(path), np.array(truth))
+
+
+def _timed(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method that adds its processor time to the `seconds` of its object."""
+
+    def run(self: Any, *arguments: Any) -> Any:
+        began = time.process_time()
+        found = method(self, *arguments)
+        self.seconds += time.process_time() - began
+        return found
+
+    return run
 
 
 class _TimedMapper(LiveMapper):
     """A mapper that measures its processor time."""
 
     seconds = 0.0
-
-    def add(self, state: RobotState) -> list[FiringTime]:
-        began = time.process_time()
-        found = super().add(state)
-        self.seconds += time.process_time() - began
-        return found
-
-    def solve(self) -> None:
-        began = time.process_time()
-        super().solve()
-        self.seconds += time.process_time() - began
+    add, solve = _timed(LiveMapper.add), _timed(LiveMapper.solve)
 
 
 class _TimedExplorer(Explorer):
     """An explorer that measures its processor time."""
 
     seconds = 0.0
-
-    def leg(
-        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
-    ) -> list[Point] | None:
-        began = time.process_time()
-        found = super().leg(clock_s, pose, mapper, free_in)
-        self.seconds += time.process_time() - began
-        return found
+    leg = _timed(Explorer.leg)
 
 
 def explore(trial: Trial, folder: Path) -> Drive:
@@ -318,10 +300,8 @@ def explore(trial: Trial, folder: Path) -> Drive:
 
     mappers: list[_TimedMapper] = []
 
-    def mapper_of(collector: DriveCollector) -> LiveMapper:
-        mappers.append(
-            _TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None)
-        )
+    def mapper_of(collector: measurements.DriveCollector) -> LiveMapper:
+        mappers.append(_TimedMapper(collector, THESIS_ODOMETRY, trial.sonar, rays=trial.rays, roughness_in=None))
         return mappers[-1]
 
     source = _source_of(trial.world, folder)
@@ -333,7 +313,7 @@ def explore(trial: Trial, folder: Path) -> Drive:
             contacts = len(log.contacts)
             if step.elapsed_s > trial.time_limit_s:
                 break
-    return Drive(read_drive(path), np.array(truth), contacts, explorer.seconds + mappers[-1].seconds)
+    return Drive(measurements.read_drive(path), np.array(truth), contacts, explorer.seconds + mappers[-1].seconds)
 
 
 def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
@@ -349,9 +329,9 @@ def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
         turret = wrap_angle(encoders[:, 4] - encoders[:, 3])
         scales = np.array((DISTANCE_SCALE, DISTANCE_SCALE, TURN_SCALE))
         for row, (one, other) in enumerate(pairwise(log.encoders[:, 1:4])):
-            step = relative_pose(one, other)
+            step = measurements.relative_pose(one, other)
             step[HEADING] = wrap_angle(step[HEADING])
-            encoders[row + 1, 1:4] = compose(encoders[row, 1:4], scales * step)
+            encoders[row + 1, 1:4] = measurements.compose(encoders[row, 1:4], scales * step)
         encoders[:, 4] = encoders[:, 3] + turret
     return replace(log, encoders=encoders, readings_in=np.clip(np.round(readings), MIN_ECHO_IN, NO_ECHO_IN))
 
@@ -370,13 +350,14 @@ def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
 
 def fit_error(points: Floats, targets: Floats) -> float:
     """Return the root mean square distance (in) of points from targets after the best rigid fit."""
-    turn, shift = rigid_fit(points, targets)
-    return float(np.sqrt(np.square(rotate(points, np.full(len(points), turn)) + shift - targets).sum(axis=-1).mean()))
+    turn, shift = measurements.rigid_fit(points, targets)
+    fitted = measurements.rotate(points, np.full(len(points), turn)) + shift
+    return float(np.sqrt(np.square(fitted - targets).sum(axis=-1).mean()))
 
 
 def closing_error(path: Floats, targets: Floats) -> float:
     """Return the error (in) of the last position of a path (n, 3) in the frame of its first pose."""
-    ends = [rotate(poses[-1, :2] - poses[0, :2], np.array(-poses[0, 2])) for poses in (path, targets)]
+    ends = [measurements.rotate(poses[-1, :2] - poses[0, :2], np.array(-poses[0, 2])) for poses in (path, targets)]
     return float(np.hypot(*(ends[0] - ends[1])))
 
 
@@ -395,7 +376,7 @@ def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[fl
     of_each = np.broadcast_to(walls, (len(ends), *walls.shape[-2:]))
     for _ in range(FIT_STEPS):
         # 1. The true wall at each learned one, if there is one.
-        placed = rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
+        placed = measurements.rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
         rows, targets, sizes = [], [], []
         for learned, near in zip(placed.reshape(-1, 2, 2), of_each, strict=True):
             turned = np.array([_turn_between(wall, learned) for wall in near])
@@ -457,10 +438,10 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
     turn, shift = _fit_of(found, walls, trial.surfaces, true_path)
-    ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
+    ends = [measurements.rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
     beside = _lines_of(found, walls, trial.surfaces, turn, shift)
     sides = [
-        (rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
+        (measurements.rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
         for outline in found.outlines for side in polygon_segments(outline.corners)
     ]  # fmt: skip
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
@@ -512,7 +493,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
 def _outline_score(world: World, found: LearnedMap, turn: float, shift: Floats) -> dict[str, int]:
     """Return the numbers of boxes, of those whose outline is closed, and of false outlines."""
     boxes = [np.array(solid.corners_in) for solid in world.obstacles if lengths(solid.segments()).min() >= MIN_BOX_IN]
-    outlines = [rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
+    outlines = [measurements.rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
 
     def is_of(outline: Floats, box: Floats) -> bool:
         away = np.hypot(*(outline[:, None] - box).transpose(2, 0, 1))
@@ -533,11 +514,9 @@ def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
     return moved
 
 
-def _fit_of(
-    found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats
-) -> tuple[float, Floats]:
+def _fit_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
-    turn, shift = rigid_fit(found.path[:, :2], true_path)
+    turn, shift = measurements.rigid_fit(found.path[:, :2], true_path)
     ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2)
     # Which parts of the surfaces are beside the learned walls depends a little on where these are.
     for _ in range(1 if surfaces is None else 2):
@@ -548,7 +527,7 @@ def _fit_of(
 def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn: float, shift: Floats) -> Floats:
     """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
     measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
-    placed = (rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
+    placed = (measurements.rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
     line = np.array([wall.line for wall in found.walls])
     beside = [lines_beside(walls, surfaces, placed[line == wall.line]) for wall in found.walls]
     return np.array(beside).reshape(len(line), len(walls), 4)
@@ -578,7 +557,7 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
     clock = driven.log.encoders[:, 0]
     true = driven.truth_at(clock)
     # 1. The true start in the frame of the map.
-    begin = rotate(true[0, :2] - shift, np.array(-turn))
+    begin = measurements.rotate(true[0, :2] - shift, np.array(-turn))
     start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
     sonar = with_wall_errors(sonar_of(N150.ring, rays=rays), world)
     config = LocalizationConfig(world.walls, N150, THESIS_ODOMETRY, sonar)
@@ -591,7 +570,7 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
             readings[int(driven.log.sonars[echo])] = float(driven.log.readings_in[echo])
             echo += 1
         found.append(localizer.update(SensorData(clock_s, x, y, heading, turret, tuple(readings))).pose[:2])
-    estimate = rotate(np.array(found), np.full(len(found), turn)) + shift
+    estimate = measurements.rotate(np.array(found), np.full(len(found), turn)) + shift
     return float(np.sqrt(np.square(estimate - true[:, :2]).sum(axis=-1).mean()))
 
 
@@ -697,10 +676,8 @@ def _rows_of_boxes(scores: Sequence[Score]) -> list[list[str]]:
     boxes, false = sum(score.boxes for score in scores), sum(score.false_outlines for score in scores)
     if not boxes + false:
         return []
-    return [
-        ["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
-        ["false outlines", "0", str(false)],
-    ]
+    return [["outlines of boxes closed", "90 %", f"{sum(score.closed for score in scores)} of {boxes}"],
+            ["false outlines", "0", str(false)]]
 
 
 def _rows_of_loops(scores: Sequence[Score]) -> list[list[str]]:
@@ -729,10 +706,8 @@ def _rows_of_exploration(explored: Sequence[Score]) -> list[list[str]]:
     if not explored:
         return []
     live = [score.live_seconds / score.duration_s for score in explored]
-    return [
-        ["contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs"],
-        ["processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}"],
-    ]
+    return [["contacts", "0 in 100 runs", f"{sum(score.contacts for score in explored)} in {len(explored)} runs"],
+            ["processor while driving: mean, worst", "10 %", f"{np.mean(live):.1%}, {max(live):.1%}"]]
 
 
 def _shares(values: Sequence[float]) -> str:
@@ -778,11 +753,8 @@ def read_scores(file: Path) -> list[Score]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments mapping",
-        description="Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.",
-        epilog="example: python -m localization.experiments mapping --seeds 10 --worlds thesis_room",
-    )
+    parser = parser_of("mapping", "--seeds 10 --worlds thesis_room",
+                       "Learn maps from drives along waypoints in simulated rooms and compare them with the true ones.")
     add_choice(parser, "--worlds", (*TOURS, *LONG_TOURS, FLAT, BOXES), list(TOURS),
                f"worlds; {FLAT} and {BOXES} with --explore alone")
     parser.add_argument("--explore", action="store_true", help="explore instead of driving along waypoints")

@@ -25,7 +25,7 @@ from localization.navigation.mission import Mission, run_mission
 from localization.navigation.path import total_length_in, wall_distances
 from localization.navigation.pilot import Observation, RobotController, Settings
 from localization.navigation.roadmap import Roadmap
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.robot import Robot
 from nclient.state import Pose, Truth
 from worlds.geometry import inside, polygon_segments
@@ -190,20 +190,11 @@ def _driven(pair: DrivePair, world: World, ends: DriveEnds, mission: Mission, re
     # The reference path is planned without margin, so no drivable path is shorter.
     shortest = total_length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
     report, truth = mission.report, recorder.last
-    return DriveResult(
-        world=pair.world,
-        number=pair.number,
-        ending=report.ending,
-        reason=report.reason,
-        touched=recorder.touched,
-        least_in=recorder.least_in,
-        off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]),
-        shortest_in=shortest,
-        planned_in=report.steps[0].planned_in,
-        driven_in=recorder.distance_in,
-        plans=report.steps[0].plans,
-        duration_s=report.duration_s,
-    )
+    return DriveResult(world=pair.world, number=pair.number, ending=report.ending, reason=report.reason,
+                       touched=recorder.touched, least_in=recorder.least_in,
+                       off_in=hypot(truth.x_in - ends.goal[0], truth.y_in - ends.goal[1]), shortest_in=shortest,
+                       planned_in=report.steps[0].planned_in, driven_in=recorder.distance_in,
+                       plans=report.steps[0].plans, duration_s=report.duration_s)
 
 
 NEAR: Final = 1.05
@@ -231,9 +222,8 @@ def main(arguments: Sequence[str]) -> None:
 
 def drive_cache(folder: Path, code: str) -> ResultCache[DrivePair, DriveResult]:
     """Return the cache of drives simulated by code with this hash."""
-    return ResultCache(
-        folder, code, DriveResult, lambda pair: (f"{pair.world}_{pair.scenario}_{pair.number:04d}", asdict(pair))
-    )
+    return ResultCache(folder, code, DriveResult,
+                       lambda pair: (f"{pair.world}_{pair.scenario}_{pair.number:04d}", asdict(pair)))
 
 
 def row(world: str, drives: Sequence[DriveResult]) -> dict[str, Any]:
@@ -278,13 +268,10 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[DriveResult]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m localization.experiments plan",
-        description="Drive a simulated N150 between random positions of the shipped worlds on the estimate, "
-        "as `nomad go` does, and report arrivals, contacts, and path lengths relative to the shortest path. Results "
-        "are cached.",
-        epilog="example: python -m localization.experiments plan --pairs 10 --worlds several_walls",
-    )
+    parser = execution.parser_of("plan", "--pairs 10 --worlds several_walls",
+                                 "Drive a simulated N150 between random positions of the shipped worlds on the "
+                                 "estimate, as `nomad go` does, and report arrivals, contacts, and path lengths "
+                                 "relative to the shortest path. Results are cached.")
     add_value(parser, "--pairs --seeds", "N", execution.positive, "number of drives in each world", 100)
     execution.add_choice(parser, "--worlds", WORLDS, list(WORLDS), "worlds")
     execution.add_choice(parser, "--scenario", SCENARIOS, "noisy", "error scenario, without its outliers")

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from localization.cli.arguments import make_folder
+from localization.experiments.execution import parser_of
 from localization.filters.belief import HEADING, Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import cone_sonar
@@ -40,7 +41,7 @@ from localization.mapping.measurements import Indices, drive_of_rows, rotate
 from localization.mapping.output import LearnedMap, describe, draw_learned
 from localization.mapping.problem import COMMON_OFFSET
 from localization.plot import check_picture, save
-from nclient.common.arguments import Parser, add_value
+from nclient.common.arguments import add_value
 from nclient.common.process import show_seconds
 from nclient.errors import LogFileError
 from nclient.recording import convert
@@ -155,21 +156,17 @@ def statistics_of(readings: Floats) -> RingStatistics:
         opposite += [width for steps, width in apart if steps >= count / 2 - OPPOSITE]
     both = np.isfinite(readings[1:]) & np.isfinite(readings[:-1])
     change = np.abs(readings[1:][both] - readings[:-1][both]) if both.any() else np.zeros(1)
-    return RingStatistics(
-        len(readings), float(np.isinf(readings).mean()), float((change > JUMP_M).mean()),
-        sum(run.sonars for runs in per_row for run in runs) / readings.size,
-        sum(map(len, per_row)) / len(readings), position / len(readings), float(np.median(change)), tuple(opposite),
-    )  # fmt: skip
+    return RingStatistics(len(readings), float(np.isinf(readings).mean()), float((change > JUMP_M).mean()),
+                          sum(run.sonars for runs in per_row for run in runs) / readings.size,
+                          sum(map(len, per_row)) / len(readings), position / len(readings), float(np.median(change)),
+                          tuple(opposite))  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    parser = Parser(
-        prog="python -m localization.experiments ring",
-        description="Count what a ring of 24 sonars without odometry shows of a room: walls, distances of opposite "
-        "ones, readings without echo.",
-        epilog="example: python -m localization.experiments ring --data scitos_ring24/scitos_ring24.csv",
-    )
+    parser = parser_of("ring", "--data scitos_ring24/scitos_ring24.csv",
+                       "Count what a ring of 24 sonars without odometry shows of a room: walls, distances of opposite "
+                       "ones, readings without echo.")
     parser.add_argument("--data", type=Path, required=True, metavar="CSV",
                         help="ranges in m and a label in each row (docs/real-data.md)")  # fmt: skip
     parser.add_argument("--row", type=int, default=0, metavar="N", help="row that --picture shows (default: 0)")
@@ -423,24 +420,17 @@ def rate_flight(name: str, poses: Floats, ranges_m: Floats, estimate: MapEstimat
     aslant = np.angle(fourfold * np.conj(fourfold.sum())) / 4.0
     orders = best_orders(poses, ranges_m)
     delays = [Agreement(delay_s, crispness(poses, ranges_m, ORDER, delay_s)) for delay_s in DELAYS_S]
-    return Flight(
-        name, orders[:3], delays, len(walls), found.quality.explained, found.quality.repeated,
-        found.quality.chi_square, found.calibration.distance_scale, straightness,
-        np.degrees(aslant).tolist(), returns, by_odometry,
-        [off for off, is_early in zip(returns, at_start, strict=True) if is_early],
-        [off for off, is_early in zip(by_odometry, at_start, strict=True) if is_early],
-        [M_PER_IN * wall.std_in for wall in walls],
-        found.reason_to_refuse(),
-    )  # fmt: skip
+    return Flight(name, orders[:3], delays, len(walls), found.quality.explained, found.quality.repeated,
+                  found.quality.chi_square, found.calibration.distance_scale, straightness, np.degrees(aslant).tolist(),
+                  returns, by_odometry, [off for off, is_early in zip(returns, at_start, strict=True) if is_early],
+                  [off for off, is_early in zip(by_odometry, at_start, strict=True) if is_early],
+                  [M_PER_IN * wall.std_in for wall in walls], found.reason_to_refuse())  # fmt: skip
 
 
 def fly(arguments: Sequence[str]) -> None:
     """Run the command `flights`."""
-    parser = Parser(
-        prog="python -m localization.experiments flights",
-        description="Learn maps from two flights of a drone with four range sensors, and rate them.",
-        epilog="example: python -m localization.experiments flights --data sparse_gslam_flights",
-    )
+    parser = parser_of("flights", "--data sparse_gslam_flights",
+                       "Learn maps from two flights of a drone with four range sensors, and rate them.")
     parser.add_argument("--data", type=Path, required=True, metavar="DIR",
                         help="folder of the bags (docs/real-data.md)")  # fmt: skip
     parser.add_argument("--flights", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: both")

@@ -82,9 +82,8 @@ class Filter(ABC):
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading of sonar number `sonar`, the turret turned by so much against the heading."""
 
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
+    def process(self, encoders: EncoderRow, poses: Sequence[EncoderRow],
+                echoes: Sequence[NewEcho]) -> Sequence[Outcome]:
         """Predict to the instant of each echo, and update. `filter_loop.filter_ring` does so in one function.
 
         Parameters
@@ -112,9 +111,8 @@ class Filter(ABC):
         """Correct the belief by a reading of this instant; only a filter of a user takes note of the time."""
         return self.update(sonar, turret_offset_rad, reading_in)
 
-    def advance(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
-    ) -> Advance:
+    def advance(self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho],
+                clock_std_s: float) -> Advance:
         """Take a whole state of the robot: `process` its echoes; return the belief that is predicted for the last pose.
 
         Parameters
@@ -204,7 +202,7 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
     are exact.
 
     All echoes of a wall repeat its error, from wherever they are measured. The filter counts as correlated only those
-    of one sonar from one pose (`CorrelatedReadings`): along a wall the belief can become more certain than it.
+    of one sonar from one pose (`update.count_used`): along a wall the belief can become more certain than it.
     """
     if not world.accuracies:
         return sonar
@@ -215,9 +213,8 @@ def with_wall_errors(sonar: RaySonar | ConeSonar, world: World) -> RaySonar | Co
     return replace(sonar, place_var_in2=sonar.place_var_in2 + float(sizes @ variances / sizes.sum()))
 
 
-def measurement_model(
-    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, range_parameters: int = 0,
-) -> MeasurementModel:  # fmt: skip
+def measurement_model(walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT,
+                      range_parameters: int = 0) -> MeasurementModel:  # fmt: skip
     """Return the measurement model for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     if isinstance(sonar, ConeSonar):
         return ConeModel(walls, body, sonar, range_parameters)

@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import update
 from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import (
     HEADING,
@@ -37,15 +38,7 @@ from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import MAX_STATE, NO_LAG, Lag, predict_state, widen_by_lag
 from localization.filters.sonar_cone import ConeModel, ConeSonar, EchoCandidate, first_echoes
 from localization.filters.sonar_ray import range_variance
-from localization.filters.update import (
-    INFORMATIVE,
-    Refusal,
-    UpdateResult,
-    linear,
-    mount_at,
-    result_of,
-    update_by_association,
-)
+from localization.filters.update import Refusal, UpdateResult
 from worlds.robots import SONARS, Body
 
 OFFSET: Final = MAX_STATE
@@ -125,7 +118,7 @@ class ConeAim:
     def posterior(self, reading: AimReading) -> tuple[float, float]:
         """Return the mean offset of the axis, radians, and its variance as a fraction of the prior one."""
         blur_rad = max(EDGE_STD_RAD, _SPACING * reading.std_rad)
-        mount = mount_at(self._model.mounts, reading.sonar, reading.offset_rad)
+        mount = update.mount_at(self._model.mounts, reading.sonar, reading.offset_rad)
         likelihood = np.empty(len(NODES))
         densities: dict[int, float] = {}
         for count, at in enumerate(_ENDS_FIRST):
@@ -146,9 +139,8 @@ def _is_flat(likelihood: Floats) -> bool:
     return float(likelihood.max() - likelihood.min()) <= SIMILAR * float(likelihood.max())
 
 
-def _likelihood(
-    candidates: list[EchoCandidate], densities: dict[int, float], sonar: ConeSonar, reading: AimReading
-) -> float:
+def _likelihood(candidates: list[EchoCandidate], densities: dict[int, float], sonar: ConeSonar,
+                reading: AimReading) -> float:
     """Return p(reading | candidates). `densities` caches those by reflector, which hold for all offsets."""
     inlier = 1.0 - sonar.outlier_probability
     if reading.reading_in >= sonar.highest_in:
@@ -221,7 +213,7 @@ class CalibratingFilter(Filter):
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading."""
         result = self._update(sonar, turret_offset_rad, reading_in)
-        if result.refusal in INFORMATIVE:
+        if result.refusal in update.INFORMATIVE:
             self._monitor.add(result)
         return result
 
@@ -240,16 +232,14 @@ class CalibratingFilter(Filter):
         if found.refusal is not Refusal.NONE:
             return UpdateResult(found.refusal, 0.0, 0.0, 1.0)
         # 3. Their derivatives by the long state.
-        association = found._replace(
-            H=[_long_derivative(H, sonar, len(x)) for H in found.H],
-            R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in],
-        )
+        association = found._replace(H=[_long_derivative(H, sonar, len(x)) for H in found.H],
+                                     R=[range_variance(self._sonar, expected_in) for expected_in in found.ranges_in])
         # 4. The gate of rays, which have no outliers, and the update.
         if not association.outlier_probability:
-            (first,) = linear(x, P, range_in, association, association.R)
+            (first,) = update.linear(x, P, range_in, association, association.R)
             if first.nis > self._threshold:
                 return UpdateResult(Refusal.GATE, first.innovation, first.nis, 1.0)
-        return result_of(update_by_association(x, P, range_in, association, linear, 1))
+        return update.result_of(update.update_by_association(x, P, range_in, association, update.linear, 1))
 
     def _correct_aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
         """Correct heading and ring turn together by what the sonar detects."""

@@ -310,10 +310,8 @@ def _compile(correct: Callable[..., Outcome]) -> Callable[..., None]:
     # numba's cache watches this file only: the checksum of the others is part of its key, as a variable of the closure.
     sources = source_checksum()
 
-    def run(
-        x: Any, P: Any, used: Any, slip_sums: Any, windows: Any, inputs: Any, count: int, mean: Any, cov: Any,
-        results: Any, numbers: Any,
-    ) -> None:  # fmt: skip
+    def run(x: Any, P: Any, used: Any, slip_sums: Any, windows: Any, inputs: Any, count: int, mean: Any, cov: Any,
+            results: Any, numbers: Any) -> None:  # fmt: skip
         assert sources >= 0
         config: Any = _config_of(numbers, assemble)
         # 1. `inputs` has the encoders, two numbers, `count` poses and the echoes, one after another.
@@ -366,9 +364,8 @@ class CompiledFilter:
         state = StateInput(encoders, [encoders], [], 0.0, detects_slips=False)
         self.filter(new_memory(x, P, as_array=True), state, POSE)
 
-    def filter(
-        self, memory: FilterMemory, state: StateInput, size: int
-    ) -> tuple[list[Outcome], EncoderRow, Signs, Belief]:
+    def filter(self, memory: FilterMemory, state: StateInput,
+               size: int) -> tuple[list[Outcome], EncoderRow, Signs, Belief]:
         """Return `filter_state`, and the prediction of the first `size` coordinates; the memory is in arrays."""
         encoders, poses, echoes, clock_std_s, detects_slips = state
         numbers = [*encoders, clock_std_s, detects_slips]

@@ -3,12 +3,12 @@
 `KalmanFilter` lists the equations, and the function of each. Its methods (`registry`) process echoes differently:
 
     method, model             echoes of a ring              predicts by               corrects by
-    ekf, rays                 filter_ring                   odometry.predict_state    sonar_ray.update_by_ray
-    ekf, cones                filter_ring                   odometry.predict_state    sonar_cone.update_by_cone
-    ekf, walls with levels    Filter.process                odometry.predict_state    update.pda_update, update.linear
-    iekf                      Filter.process                odometry.predict_state    update.pda_update, update.iterated
+    ekf, rays                 filter_ring                   predict_state    sonar_ray.update_by_ray
+    ekf, cones                filter_ring                   predict_state    sonar_cone.update_by_cone
+    ekf, walls with levels    Filter.process                predict_state    update.pda_update, update.linear
+    iekf                      Filter.process                predict_state    update.pda_update, update.iterated
     ukf                       Filter.process                ukf.predict_state         update.pda_update, ukf.unscented
-    smoother                  Filter.process                odometry.predict_state    as ekf
+    smoother                  Filter.process                predict_state    as ekf
 
 `filter_loop` has `filter_ring`, and `filter_state` from the echoes to the estimate that is reported. numba compiles it
 where that is wanted (`compiled.filter_of`), with the same results to the bit.
@@ -23,50 +23,20 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from localization.filters import compiled
+from localization.filters import compiled, health, odometry, update
 from localization.filters.base import Advance, EncoderRow, Filter, NewEcho
 from localization.filters.belief import HEADING, Belief, Floats, marginal, pack, unpack, with_constants, wrap_angle
 from localization.filters.filter_loop import FilterMemory, StateInput, filter_config, filter_state
 from localization.filters.heading_test import MIN_OUTLIERS, HeadingTest
-from localization.filters.health import (
-    FilterHealth,
-    HealthLimits,
-    IntegrityMonitor,
-    Signs,
-    clear_slips,
-    slip_probability,
-)
-from localization.filters.odometry import (
-    NO_LAG,
-    Lag,
-    OdometryNoise,
-    Prediction,
-    clock_lag,
-    predict_state,
-    relative_step,
-    true_step,
-    widen_by_rolling,
-    widen_by_slip,
-    widen_prediction,
-)
+from localization.filters.health import FilterHealth, HealthLimits, IntegrityMonitor, Signs
+from localization.filters.odometry import Lag, OdometryNoise, Prediction, predict_state
 from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
-from localization.filters.update import (
-    INFORMATIVE,
-    INFORMATIVE_IN_CLUTTER,
-    LIMIT,
-    CorrelatedReadings,
-    MeasurementUpdate,
-    Outcome,
-    Refusal,
-    UpdateResult,
-    kalman_update,
-    shift,
-)
+from localization.filters.update import OUTLIERS, MeasurementUpdate, Outcome, Refusal, UpdateResult
 
 READING: Final = 2
 """Element of a `NewEcho`."""
-NO_RANGE: Final[Outcome] = (LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
+NO_RANGE: Final[Outcome] = (update.LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0)
 """The outcome of a limit, whose likelihood this filter does not need."""
 
 
@@ -122,11 +92,9 @@ class KalmanFilter(Filter):
     TAKES_RINGS: ClassVar[bool] = True
     """False: a subclass needs every prediction of its own."""
 
-    def __init__(
-        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
-        prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 prediction: Prediction = predict_state, range_stds: Sequence[float] = (),
+                 middle_in: tuple[float, float] = (0.0, 0.0), limits: HealthLimits | None = None) -> None:  # fmt: skip
         self._measurement, self._odometry, self._predict = measurement, odometry, prediction
         # The state: `size` coordinates of pose and odometry parameters, then those that no step changes: the levels of
         # walls, and the range parameters.
@@ -149,16 +117,14 @@ class KalmanFilter(Filter):
         self._x: Any
         self._P: Any
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
-        self._correlated = CorrelatedReadings(as_array=is_compiled)
-        self._memory = FilterMemory(
-            self._x, self._P, self._correlated.used, self._monitor.slip_sums, self._monitor.windows
-        )
+        self._used = update.new_used(as_array=is_compiled)
+        self._memory = FilterMemory(self._x, self._P, self._used, self._monitor.slip_sums, self._monitor.windows)
         self._has_slip_test = self._monitor.limits.slip_nats < inf
         noise = self._direct.noise if self._direct else None
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
-        self._informative = INFORMATIVE_IN_CLUTTER if measurement.level_stds else INFORMATIVE
+        self._informative = update.INFORMATIVE_IN_CLUTTER if measurement.level_stds else update.INFORMATIVE
         model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -185,9 +151,9 @@ class KalmanFilter(Filter):
         self._signs = None
         # Walls with levels relate an echo to earlier ones.
         if self._measurement.level_stds:
-            self._measurement.move(*true_step(self._x, distance_in, turn_rad, self._constants))
+            self._measurement.move(*odometry.true_step(self._x, distance_in, turn_rad, self._constants))
         self._predict(self._x, self._P, distance_in, turn_rad, self._odometry, self._constants)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
 
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Correct the belief by a reading of a sonar that fired at this very pose: x = x- + K (z - h(x-)).
@@ -195,27 +161,24 @@ class KalmanFilter(Filter):
         Only readings that are used can be repeated, and only informative ones enter the health.
         """
         self._signs = None
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        outlier_fraction = self._correlated.outlier_fraction
-        result = self._measurement.apply(
-            self._x, self._P, sonar, turret_offset_rad, reading_in, count, outlier_fraction
-        )
+        count, outlier_fraction = update.count_used(self._used, sonar, turret_offset_rad) + 1, self._used[-1][OUTLIERS]
+        result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count,
+                                         outlier_fraction)
         if result.refusal is Refusal.NONE:
-            self._correlated.record(sonar, turret_offset_rad)
+            update.record_used(self._used, sonar, turret_offset_rad, count)
         if result.refusal in (Refusal.NONE, Refusal.GATE):
-            self._correlated.count_outlier(result.outlier_probability)
+            update.count_outlier(self._used, result.outlier_probability)
         if result.refusal in self._informative:
             self._monitor.add(result)
             if self.detects_slips and self._has_slip_test:
                 self._monitor.add_innovation(result.innovation_in, result.nis, result.slope)
             # The last readings may agree on a slip of the wheels.
             if slip_in := self._monitor.take_slip():
-                widen_by_slip(self._x, self._P, slip_in)
+                odometry.widen_by_slip(self._x, self._P, slip_in)
         return result
 
-    def process(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]
-    ) -> Sequence[Outcome]:
+    def process(self, encoders: EncoderRow, poses: Sequence[EncoderRow],
+                echoes: Sequence[NewEcho]) -> Sequence[Outcome]:
         """Predict to the instant of each echo and update; see `Filter.process`."""
         if not self._direct:
             outcomes = super().process(encoders, poses, echoes)
@@ -224,9 +187,8 @@ class KalmanFilter(Filter):
             return outcomes
         return self.advance(encoders, poses, echoes, 0.0)[0]
 
-    def advance(
-        self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], clock_std_s: float
-    ) -> Advance:
+    def advance(self, encoders: EncoderRow, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho],
+                clock_std_s: float) -> Advance:
         """Predict to the instant of each echo and update, then return the belief at the last pose: `filter_state`."""
         if not self._config:
             return super().advance(encoders, poses, echoes, clock_std_s)
@@ -246,8 +208,8 @@ class KalmanFilter(Filter):
             belief = Belief(np.array(mean), np.array(cov))
         # 3. Another heading: the prediction anew.
         if self._headings and echoes and self._check_heading(poses, echoes):
-            lag = clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
-            belief = self.predicted(*relative_step(*after[1:4], *poses[-1][1:4]), lag)
+            lag = odometry.clock_lag(poses[max(len(poses) - 2, 0)], poses[-1], clock_std_s)
+            belief = self.predicted(*odometry.relative_step(*after[1:4], *poses[-1][1:4]), lag)
         # 4. The outcomes of all echoes.
         if len(ranges) < len(echoes):
             of_ranges, last = iter(outcomes), echoes[-1]
@@ -256,24 +218,22 @@ class KalmanFilter(Filter):
             ]
         return outcomes, after, belief
 
-    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
+    def predicted(self, distance_in: float, turn_rad: float, lag: Lag = odometry.NO_LAG) -> Belief:
         """Return the belief after such a step, without taking it, widened by what the filter leaves out of P.
 
         That is `widen_prediction`. The pose does not depend on the range parameters, of which the last is the scale.
         """
-        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, slip_probability(self._monitor.slip_sums)
+        nis_ratio, (_, slipped_in2) = self._monitor.nis_ratio, health.slip_probability(self._monitor.slip_sums)
         scale = float(self._x[-1]) if self._has_scale else 0.0
         x, P = unpack(self.belief)
-        widen_prediction(
-            x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in, slipped_in2,
-            self._predict,
-        )  # fmt: skip
+        odometry.widen_prediction(x, P, distance_in, turn_rad, self._odometry, nis_ratio, lag, scale, self._middle_in,
+                                  slipped_in2, self._predict)  # fmt: skip
         return pack(x, P)
 
     def roll_on_spot(self, distance_in: float) -> None:
         """Widen the belief by the noise of wheels that roll so far while something holds the robot."""
         self._signs = None
-        widen_by_rolling(self._x, self._P, distance_in, self._odometry)
+        odometry.widen_by_rolling(self._x, self._P, distance_in, self._odometry)
 
     def _check_heading(self, poses: Sequence[EncoderRow], echoes: Sequence[NewEcho]) -> bool:
         """Correct the heading, and the state with it, if many readings are outliers that agree on another heading.
@@ -282,17 +242,17 @@ class KalmanFilter(Filter):
         """
         assert self._headings is not None
         self._headings.add(poses, echoes)
-        if self._correlated.outlier_fraction < MIN_OUTLIERS:
+        if self._used[-1][OUTLIERS] < MIN_OUTLIERS:
             return False
         x, P = self._x, self._P
         turn_rad, evidence_nats = self._headings.correction(x, P)
         if evidence_nats < self._monitor.limits.heading_nats:
             return False
         # x + K d, K = P_h / P_hh. P stays: readings that agree with both headings have narrowed it already.
-        shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
+        update.shift(x, [row[HEADING] / P[HEADING][HEADING] for row in P], turn_rad)
         self._headings.reset()
-        self._correlated.forget_outliers()
-        clear_slips(self._monitor.slip_sums)
+        self._used[-1][OUTLIERS] = 0.0
+        health.clear_slips(self._monitor.slip_sums)
         self._signs = None
         return True
 
@@ -320,7 +280,7 @@ def update_ring(belief: Belief, observation: Observation) -> tuple[Belief, Float
         # 1. innovation = z - h - H x: of this reading after those before it, in the linear model.
         innovation = observation.innovation[..., beam] - sum(h * change for h, change in zip(H, x, strict=True))
         # 2. S = H P H^T + R, K = P H^T / S, x + K innovation, P - K S K^T.
-        nis = nis + kalman_update(x, P, H, observation.R[..., beam], innovation)
+        nis = nis + update.kalman_update(x, P, H, observation.R[..., beam], innovation)
     updated = pack([before + change for before, change in zip(np.moveaxis(belief.mean, -1, 0), x, strict=True)], P)
     updated.mean[..., HEADING] = wrap_angle(updated.mean[..., HEADING])
     return updated, nis

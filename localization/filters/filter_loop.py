@@ -13,48 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from localization.filters import health, odometry, update
 from localization.filters.base import EncoderRow, NewEcho
-from localization.filters.health import (
-    COUNTS,
-    READINGS,
-    HealthLimits,
-    Signs,
-    SlipSums,
-    Windows,
-    add_reading,
-    add_slip_evidence,
-    empty_slip_sums,
-    empty_windows,
-    nis_limits,
-    signs_of,
-    take_slip,
-)
-from localization.filters.odometry import (
-    OdometryNoise,
-    clock_lag,
-    pose_at,
-    predict_state,
-    relative_step,
-    widen_by_slip,
-    widen_prediction,
-)
-from localization.filters.update import (
-    GATE,
-    INFORMATIVE,
-    NONE,
-    OUTLIERS,
-    CorrelatedReadings,
-    Covariance,
-    DirectModel,
-    Outcome,
-    State,
-    Used,
-    count_outlier,
-    count_used,
-    mount_at,
-    move_on,
-    record_used,
-)
+from localization.filters.health import HealthLimits, Signs, SlipSums, Windows
+from localization.filters.odometry import OdometryNoise, predict_state
+from localization.filters.update import Covariance, DirectModel, Outcome, State, Used
 
 
 class FilterMemory(NamedTuple):
@@ -65,7 +28,7 @@ class FilterMemory(NamedTuple):
     x, P
         State and covariance at the last echo (`belief.unpack`).
     used
-        Of `update.CorrelatedReadings`.
+        Of `update.new_used`.
     slip_sums, windows
         Of `health.IntegrityMonitor`.
     """
@@ -117,10 +80,8 @@ class StateInput(NamedTuple):
     detects_slips: bool
 
 
-def filter_state(
-    memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome], mean: State,
-    cov: Covariance,
-) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
+def filter_state(memory: FilterMemory, state: StateInput, config: FilterConfig, correct: Callable[..., Outcome],
+                 mean: State, cov: Covariance) -> tuple[list[Outcome], EncoderRow, Signs]:  # fmt: skip
     """Filter by all echoes of a state of the robot, and predict from the last one to the state.
 
     `compiled` compiles this function with all that it calls.
@@ -143,38 +104,35 @@ def filter_state(
     poses = state.poses
     # 1. Predict to each echo, and correct by it.
     tested = slip_sums if state.detects_slips else slip_sums[:0]
-    outcomes, encoders = filter_ring(
-        x, P, used, tested, state.encoders, poses, state.echoes, config.noise, config.model, correct
-    )
+    outcomes, encoders = filter_ring(x, P, used, tested, state.encoders, poses, state.echoes, config.noise,
+                                     config.model, correct)
     # 2. The monitor judges by the outcomes of ranges; a slip of the wheels widens P.
     for refusal, _, nis, outlier_probability, _, _ in outcomes:
-        if refusal in INFORMATIVE:
-            add_reading(windows, slip_sums, nis, outlier_probability)
+        if refusal in update.INFORMATIVE:
+            health.add_reading(windows, slip_sums, nis, outlier_probability)
             if state.detects_slips:
-                slip_sums[COUNTS][READINGS] += 1.0
-    slip_in = take_slip(slip_sums, config.slip_nats)
+                slip_sums[health.COUNTS][health.READINGS] += 1.0
+    slip_in = health.take_slip(slip_sums, config.slip_nats)
     if slip_in != 0.0:
-        widen_by_slip(x, P, slip_in)
-    signs = signs_of(P, windows, slip_sums, config.max_totals)
+        odometry.widen_by_slip(x, P, slip_in)
+    signs = health.signs_of(P, windows, slip_sums, config.max_totals)
     # 3. The prediction, of a copy: the scale of the map is the last of the range parameters.
     for i in range(len(mean)):
         mean[i] = x[i]
         for j in range(len(mean)):
             cov[i][j] = P[i][j]
     now, before = poses[len(poses) - 1], poses[max(len(poses) - 2, 0)]
-    distance, turn = relative_step(encoders[1], encoders[2], encoders[3], now[1], now[2], now[3])
+    distance, turn = odometry.relative_step(encoders[1], encoders[2], encoders[3], now[1], now[2], now[3])
     _, _, nis_ratio, _, _, slipped_in2 = signs
-    lag, scale = clock_lag(before, now, state.clock_std_s), x[-1] if config.model.range_parameters > 0 else 0.0
-    widen_prediction(
-        mean, cov, distance, turn, config.noise, nis_ratio, lag, scale, config.middle, slipped_in2, predict_state
-    )
+    lag, scale = odometry.clock_lag(before, now, state.clock_std_s), x[-1] if config.model.range_parameters > 0 else 0.0
+    odometry.widen_prediction(mean, cov, distance, turn, config.noise, nis_ratio, lag, scale, config.middle,
+                              slipped_in2, predict_state)
     return outcomes, encoders, signs
 
 
-def filter_ring(
-    x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow, poses: Sequence[EncoderRow],
-    echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel, correct: Callable[..., Outcome],
-) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
+def filter_ring(x: State, P: Covariance, used: Used, slip_sums: SlipSums, encoders: EncoderRow,
+                poses: Sequence[EncoderRow], echoes: Sequence[NewEcho], noise: OdometryNoise, model: DirectModel,
+                correct: Callable[..., Outcome]) -> tuple[list[Outcome], EncoderRow]:  # fmt: skip
     """Filter x, P by all echoes of a ring in order of time, in place; return their outcomes and the last encoders.
 
     This is the loop of the extended Kalman filter, with the steps that `KalmanFilter` lists.
@@ -184,7 +142,7 @@ def filter_ring(
     x, P
         State and covariance at the pose `encoders` (`belief.unpack`).
     used
-        Of `CorrelatedReadings`.
+        Of `update.new_used`.
     slip_sums
         Of `health.IntegrityMonitor`; without rows, slips are not looked for.
     encoders, poses, echoes
@@ -197,42 +155,43 @@ def filter_ring(
         # By index: numba cannot unpack a row of an array.
         instant_s, sonar, reading_in = echo[0], int(echo[1]), echo[2]
         # 1. u, the step of the encoders to their pose at the instant of the echo.
-        to_x, to_y, to_heading, turret = pose_at(poses, instant_s)
-        distance, turn = relative_step(encoders[1], encoders[2], encoders[3], to_x, to_y, to_heading)
+        to_x, to_y, to_heading, turret = odometry.pose_at(poses, instant_s)
+        distance, turn = odometry.relative_step(encoders[1], encoders[2], encoders[3], to_x, to_y, to_heading)
         encoders = instant_s, to_x, to_y, to_heading, turret
         # 2. x- = f(x, u), P- = F P F^T + G Q G^T.
         predict_state(x, P, distance, turn, noise, model.range_parameters)
-        move_on(used, distance, turn)
+        update.move_on(used, distance, turn)
         # 3. to 7. The update by the model, in place. For a ray (sonar_ray.update_by_ray):
         #        innovation = z - h(x-)
         #        S = H P- H^T + R,  K = P- H^T / S        R of the `count`-th reading of this sonar from here
         #        unless innovation^2 / S > threshold:
         #            x = x- + K innovation,  P = P- - K S K^T
         turret_offset = turret - to_heading
-        mount, count = mount_at(model.mounts, sonar, turret_offset), count_used(used, sonar, turret_offset) + 1
-        outcome = correct(x, P, mount, reading_in, model, count, used[-1][OUTLIERS])
+        mount = update.mount_at(model.mounts, sonar, turret_offset)
+        count = update.count_used(used, sonar, turret_offset) + 1
+        outcome = correct(x, P, mount, reading_in, model, count, used[-1][update.OUTLIERS])
         refusal, innovation, nis, outlier_probability, _, slope = outcome
-        if refusal == NONE:
-            record_used(used, sonar, turret_offset, count)
+        if refusal == update.NONE:
+            update.record_used(used, sonar, turret_offset, count)
         # 8. Evidence of a slip of the wheels.
-        if refusal in (NONE, GATE):
-            count_outlier(used, outlier_probability)
+        if refusal in (update.NONE, update.GATE):
+            update.count_outlier(used, outlier_probability)
             if len(slip_sums) > 0:
-                add_slip_evidence(slip_sums, innovation, nis, slope)
+                health.add_slip_evidence(slip_sums, innovation, nis, slope)
         outcomes.append(outcome)
     return outcomes, encoders
 
 
-def filter_config(
-    noise: OdometryNoise, model: DirectModel, limits: HealthLimits, middle: tuple[float, float] = (0.0, 0.0)
-) -> FilterConfig:
+def filter_config(noise: OdometryNoise, model: DirectModel, limits: HealthLimits,
+                  middle: tuple[float, float] = (0.0, 0.0)) -> FilterConfig:
     """Return the configuration for `filter_state`, with the limits of the monitor."""
-    return FilterConfig(noise, model, limits.slip_nats, nis_limits(limits.nis_probability, limits.window), middle)
+    max_totals = health.nis_limits(limits.nis_probability, limits.window)
+    return FilterConfig(noise, model, limits.slip_nats, max_totals, middle)
 
 
 def new_memory(x: State, P: Covariance, *, as_array: bool = False) -> FilterMemory:
     """Return a memory without readings yet, for a filter without a monitor: x and P are lists, or arrays."""
-    used, slip_sums, windows = CorrelatedReadings(as_array=as_array).used, empty_slip_sums(), empty_windows(1)
+    used, slip_sums, windows = update.new_used(as_array=as_array), health.empty_slip_sums(), health.empty_windows(1)
     if as_array:
         return FilterMemory(x, P, used, np.array(slip_sums), np.array(windows))
     return FilterMemory(x, P, used, slip_sums, windows)

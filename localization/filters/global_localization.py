@@ -23,14 +23,14 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters import pose_search
+from localization.filters import pose_search, update
 from localization.filters.base import Filter, Place
 from localization.filters.belief import POSE, Belief, Floats, wrap_angle
 from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, predict, with_parameters, with_pose
 from localization.filters.pose_search import LAST_RECORDS, EchoRecord, PoseSearch, SearchRequest, moved
 from localization.filters.range_table import OUTLIER_PROBABILITY
-from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
+from localization.filters.update import MeasurementUpdate, Refusal, UpdateResult
 
 # 1. The sequential test between an estimate and its alternatives.
 
@@ -69,9 +69,8 @@ class SequentialTest:
     Wald, Sequential tests of statistical hypotheses (1945); Ville, Etude critique de la notion de collectif (1939).
     """
 
-    def __init__(
-        self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
-    ) -> None:  # fmt: skip
+    def __init__(self, near: Belief | None, elsewhere: Belief | None, measurement: MeasurementUpdate,
+                 odometry: OdometryNoise) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         beliefs = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
         self._beliefs = {side: belief for side, belief in beliefs.items() if belief is not None}
@@ -170,18 +169,16 @@ class GlobalLocalizer(Filter):
         Poses (3,) that look like that of the belief; they stay beside the estimate until readings exclude them.
     """
 
-    def __init__(
-        self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise, poses: PoseSearch,
-        sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
-        monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = (),
-    ) -> None:  # fmt: skip
+    def __init__(self, belief: Belief | None, measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 poses: PoseSearch, sonar_angles_rad: Sequence[float], parameter_stds: tuple[float, ...] = (),
+                 monitor: IntegrityMonitor | None = None, alike: Sequence[Floats] = ()) -> None:  # fmt: skip
         self._measurement, self._odometry = measurement, odometry
         self._replay = pose_search.EchoReplay(measurement, odometry)
         self._replay.load()
         self._sonar_angles_rad, self._parameter_stds = sonar_angles_rad, parameter_stds
         self._poses = poses
         self._monitor = monitor or IntegrityMonitor()
-        self._encoders, self._correlated = np.zeros(POSE), CorrelatedReadings()
+        self._encoders, self._used = np.zeros(POSE), update.new_used()
         self._last: deque[EchoRecord] = deque(maxlen=LAST_RECORDS)
         self._new_records = 0
         self._test: SequentialTest | None = None
@@ -260,12 +257,10 @@ class GlobalLocalizer(Filter):
         """Predict the estimate after a step that the encoders report."""
         step = np.array((distance_in, turn_rad))
         self._encoders = move(self._encoders, step)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
         if self._estimate is not None:
             self._estimate = predict(self._estimate, step, self._odometry)
-            self._alike = [
-                Place(predict(each.belief, step, self._odometry), each.probability) for each in self._alike
-            ]
+            self._alike = [Place(predict(each.belief, step, self._odometry), each.probability) for each in self._alike]
         if self._test:
             self._test.predict(distance_in, turn_rad)
 
@@ -286,12 +281,10 @@ class GlobalLocalizer(Filter):
         if self._pending:
             self._since.append(record)
         # 2. Correct and monitor the estimate.
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        self._estimate, result = self._measurement.updated(
-            self._estimate, sonar, turret_offset_rad, reading_in, count
-        )
+        count = update.count_used(self._used, sonar, turret_offset_rad) + 1
+        self._estimate, result = self._measurement.updated(self._estimate, sonar, turret_offset_rad, reading_in, count)
         if result.refusal is Refusal.NONE:
-            self._correlated.record(sonar, turret_offset_rad)
+            update.record_used(self._used, sonar, turret_offset_rad, count)
         self._compare(record, count, result.likelihood)
         if self._estimate is not None:
             self._watch(record, result)
@@ -303,9 +296,8 @@ class GlobalLocalizer(Filter):
         """Weigh the poses that look like the estimate by an echo, against the estimate."""
         beside = []
         for each in self._alike:
-            belief, result = self._measurement.updated(
-                each.belief, record.sonar, record.turret_offset_rad, record.reading_in, count
-            )
+            belief, result = self._measurement.updated(each.belief, record.sonar, record.turret_offset_rad,
+                                                       record.reading_in, count)
             weight = each.probability * (result.likelihood / likelihood) ** pose_search.EVIDENCE_SHARE
             if weight >= ALIKE_WEIGHT * pose_search.MIN_WEIGHT:
                 beside.append(Place(belief, weight))

@@ -120,9 +120,8 @@ class HeadingTest:
         return readings[READINGS - 1 :: -1]
 
 
-def likelihoods(
-    x: Floats, P: Floats, turns: Floats, encoders: Encoders, readings: Sequence[FiredAt], model: ConeModel
-) -> Floats:
+def likelihoods(x: Floats, P: Floats, turns: Floats, encoders: Encoders, readings: Sequence[FiredAt],
+                model: ConeModel) -> Floats:
     """Return the density (k, d) per inch of each of k readings, if the heading is off by each of `turns` (d,).
 
     It is that of `update.association_probabilities`, in arrays.

@@ -323,9 +323,8 @@ fraction; the mean NIS, if significant; the number of readings since a slip; the
 square of the displacement by it, in^2."""
 
 
-def signs_of(
-    P: Sequence[Sequence[float]] | Floats, windows: Windows, slip_sums: SlipSums, max_totals: Sequence[float]
-) -> Signs:
+def signs_of(P: Sequence[Sequence[float]] | Floats, windows: Windows, slip_sums: SlipSums,
+             max_totals: Sequence[float]) -> Signs:
     """Return the signs of the health of an estimate of covariance P."""
     # The larger eigenvalue of the covariance of the position.
     xx, xy, yy = P[0][0], P[0][1], P[1][1]

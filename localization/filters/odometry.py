@@ -94,10 +94,8 @@ Prediction = Callable[[list[float], list[list[float]], float, float, OdometryNoi
 
 def process_variance(distance: Number, turn: Number, noise: OdometryNoise) -> tuple[Number, Number]:
     """Return the diagonal of Q: the variances of a step's distance (in^2) and turn (rad^2)."""
-    return (
-        noise.translation_std**2 * abs(distance),
-        noise.drift_std**2 * abs(distance) + noise.rotation_std**2 * abs(turn),
-    )
+    return (noise.translation_std**2 * abs(distance),
+            noise.drift_std**2 * abs(distance) + noise.rotation_std**2 * abs(turn))
 
 
 def true_step(x: Sequence[Number], distance: Number, turn: Number, constants: int = 0) -> tuple[Number, Number]:
@@ -113,9 +111,8 @@ def true_step(x: Sequence[Number], distance: Number, turn: Number, constants: in
     return true_distance, true_turn
 
 
-def jacobians(
-    x: Sequence[Number], distance: Number, turn: Number, constants: int = 0
-) -> tuple[Number, Number, tuple[Number, Number], tuple[Number, Number]]:
+def jacobians(x: Sequence[Number], distance: Number, turn: Number,
+              constants: int = 0) -> tuple[Number, Number, tuple[Number, Number], tuple[Number, Number]]:
     """Return the true step, and G, the derivative of the pose by it, at x.
 
     Returns
@@ -133,9 +130,8 @@ def jacobians(
     return d, t, (c, s), (-0.5 * d * s, 0.5 * d * c)
 
 
-def parameter_columns(
-    n: int, distance: Number, turn: Number, g: tuple[Number, Number], h: tuple[Number, Number]
-) -> list[tuple[int, Number, Number, Number]]:
+def parameter_columns(n: int, distance: Number, turn: Number, g: tuple[Number, Number],
+                      h: tuple[Number, Number]) -> list[tuple[int, Number, Number, Number]]:
     """Return the columns of F for the odometry parameters among n coordinates, each with its index.
 
     A parameter acts through the true step, so its column is one of G times the reported distance or turn.
@@ -148,9 +144,8 @@ def parameter_columns(
     return columns[: n - POSE]
 
 
-def predict_state(
-    x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise, constants: int = 0,
-) -> None:  # fmt: skip
+def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise,
+                  constants: int = 0) -> None:  # fmt: skip
     """Predict x and P after a step that the encoders report, in place: the prediction step of the Kalman filter.
 
     Parameters
@@ -385,10 +380,9 @@ def widen_by_slip(x: list[float], P: list[list[float]], slip_in: float) -> None:
     add_outer(P, 1.0, (0.0, 0.0, SLIP_RAD))
 
 
-def widen_prediction(
-    x: list[float], P: list[list[float]], distance: float, turn: float, noise: OdometryNoise, nis_ratio: float,
-    lag: Lag, scale: float, middle: tuple[float, float], slipped_in2: float, prediction: Prediction,
-) -> None:  # fmt: skip
+def widen_prediction(x: list[float], P: list[list[float]], distance: float, turn: float, noise: OdometryNoise,
+                     nis_ratio: float, lag: Lag, scale: float, middle: tuple[float, float], slipped_in2: float,
+                     prediction: Prediction) -> None:  # fmt: skip
     """Predict x, P after a step, in place, and widen P by what the filter leaves out of it.
 
     Parameters
@@ -423,9 +417,8 @@ def widen_prediction(
         add_outer(P, slipped_in2, (c, s, 0.0))
 
 
-def relative_step(
-    x: Number, y: Number, heading: Number, to_x: Number, to_y: Number, to_heading: Number
-) -> tuple[Number, Number]:
+def relative_step(x: Number, y: Number, heading: Number, to_x: Number, to_y: Number,
+                  to_heading: Number) -> tuple[Number, Number]:
     """Return distance and turn of the step from one encoder pose to another.
 
     The distance is the part of the chord along the middle heading, with its sign. What lies across it, which no single

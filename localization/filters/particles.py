@@ -18,29 +18,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import sonar_ray, update
 from localization.filters.base import Filter
 from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.sonar_cone import ConeSonar, echo_probabilities, reflectors
-from localization.filters.sonar_ray import (
-    RangeNoise,
-    RaySonar,
-    constant_variance,
-    range_variance,
-    ranges_along,
-    wall_map,
-)
-from localization.filters.update import (
-    RANGE_PARAMETERS,
-    CorrelatedReadings,
-    Refusal,
-    UpdateResult,
-    gate_code,
-    information_fraction,
-    mount_at,
-    result_of,
-)
+from localization.filters.sonar_ray import RangeNoise, RaySonar, constant_variance, range_variance
+from localization.filters.update import RANGE_PARAMETERS, UpdateResult, gate_code, result_of
 from worlds.robots import Body
 
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
@@ -86,7 +71,7 @@ class Likelihood(ABC):
         The widening counts as an error that stays.
         """
         variance, constant = range_variance(self._noise, reading_in), constant_variance(self._noise, reading_in)
-        return information_fraction(variance + self._widen_in2, constant + self._widen_in2, count)
+        return update.information_fraction(variance + self._widen_in2, constant + self._widen_in2, count)
 
     @abstractmethod
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
@@ -107,18 +92,16 @@ class RayLikelihood(Likelihood):
         z_rand: fraction of readings spread over all ranges.
     """
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
-        widen_std_in: float = 0.5,
-    ) -> None:  # fmt: skip
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, *, outlier_probability: float = 0.05,
+                 widen_std_in: float = 0.5) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
-        self._walls, self._sonar, self._outlier_probability = wall_map(walls), sonar, outlier_probability
+        self._walls, self._sonar, self._outlier_probability = sonar_ray.wall_map(walls), sonar, outlier_probability
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
-        mount = mount_at(self._mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self._mounts, sonar, turret_offset_rad)
         aimed = mount._replace(direction_rad=np.array([mount.direction_rad]))
-        range_in = ranges_along(poses, aimed, self._walls).range_in[:, 0]
+        range_in = sonar_ray.ranges_along(poses, aimed, self._walls).range_in[:, 0]
         has_wall = np.isfinite(range_in)
         expected = np.where(has_wall, range_in, 0.0)
         variance = self._sonar.variance(expected)
@@ -137,18 +120,16 @@ class ConeLikelihood(Likelihood):
         Blur of the edge of the cone.
     """
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
-        widen_std_in: float = 0.5,
-    ) -> None:  # fmt: skip
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, *, heading_std_rad: float = 0.03,
+                 widen_std_in: float = 0.5) -> None:  # fmt: skip
         super().__init__(body, sonar, widen_std_in)
-        self._around, self._sonar = reflectors(wall_map(walls).segments), sonar
+        self._around, self._sonar = reflectors(sonar_ray.wall_map(walls).segments), sonar
         self._heading_std = np.array(heading_std_rad)
 
     def at(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Likelihoods:
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
         noise = self._sonar
-        mount = mount_at(self._mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self._mounts, sonar, turret_offset_rad)
         ranges, probability = echo_probabilities(poses, self._heading_std, mount, self._around, noise)
         hits = _density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
         inlier = 1.0 - noise.outlier_probability
@@ -203,11 +184,9 @@ class ParticleFilter(Filter):
         Middle of the map, about which its scale may be wrong.
     """
 
-    def __init__(
-        self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
-        parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
-        middle_in: tuple[float, float] = (0.0, 0.0),
-    ) -> None:  # fmt: skip
+    def __init__(self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
+                 parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
+                 middle_in: tuple[float, float] = (0.0, 0.0)) -> None:  # fmt: skip
         self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
         """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
         self._middle_in = np.array(middle_in)
@@ -215,7 +194,7 @@ class ParticleFilter(Filter):
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._rng = likelihood, odometry, rng
         self._parameters = parameters or MonteCarlo(len(states))
-        self._monitor, self._correlated = IntegrityMonitor(), CorrelatedReadings()
+        self._monitor, self._used = IntegrityMonitor(), update.new_used()
 
     @property
     def belief(self) -> Belief:
@@ -237,7 +216,7 @@ class ParticleFilter(Filter):
         step = np.array((distance_in, turn_rad))
         noise = np.sqrt(step_variance(step, self._odometry)) * self._rng.standard_normal((len(self.states), 2))
         self.states = move(self.states, step + noise)
-        self._correlated.move(distance_in, turn_rad)
+        update.move_on(self._used, distance_in, turn_rad)
 
     def predicted(self, distance_in: float, turn_rad: float, lag: Lag = NO_LAG) -> Belief:
         """Return the belief after such a step without drawing: the step's variance is added to the Gaussian."""
@@ -256,10 +235,10 @@ class ParticleFilter(Filter):
     def update(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Weigh the particles by a reading; limits change nothing."""
         if not self._likelihood.is_range(reading_in):
-            return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return UpdateResult(update.Refusal.LIMIT, 0.0, 0.0, 1.0)
         # 1. The information of a repeated reading.
-        count = self._correlated.count(sonar, turret_offset_rad) + 1
-        self._correlated.record(sonar, turret_offset_rad)
+        count = update.count_used(self._used, sonar, turret_offset_rad) + 1
+        update.record_used(self._used, sonar, turret_offset_rad, count)
         power = self._likelihood.information(reading_in, count)
         # 2. Weights, the innovation before them, and the probability of an outlier.
         offset_in, scale = self.range_errors.tolist()
@@ -272,7 +251,8 @@ class ParticleFilter(Filter):
         self.weights /= self.weights.sum()
         # 3. Resampling.
         if self.effective < self._parameters.resample_threshold * len(self.states):
-            self._resample()
+            chosen = resample_low_variance(self.weights, float(self._rng.random()))
+            self.states, self.weights = self.states[chosen], np.full(len(chosen), 1.0 / len(chosen))
         result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0, 0.0))
         self._monitor.add(result)
         return result
@@ -292,11 +272,6 @@ class ParticleFilter(Filter):
             self.range_errors += K * innovation
             self._errors_cov -= np.outer(K, PHt)
         return innovation, nis
-
-    def _resample(self) -> None:
-        chosen = resample_low_variance(self.weights, float(self._rng.random()))
-        self.states = self.states[chosen]
-        self.weights = np.full(len(chosen), 1.0 / len(chosen))
 
 
 def weighted_innovation(weights: Floats, reading_in: float, at: Likelihoods) -> tuple[float, float]:

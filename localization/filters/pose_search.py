@@ -131,9 +131,8 @@ class EchoReplay:
         nats = sum(log(likelihood) for _, _, _, _, likelihood, _ in self._outcomes(x, P, before, records))
         return pack(x, P), nats
 
-    def _outcomes(
-        self, x: list[float], P: list[list[float]], before: Floats, records: Sequence[EchoRecord]
-    ) -> list[Outcome]:
+    def _outcomes(self, x: list[float], P: list[list[float]], before: Floats,
+                  records: Sequence[EchoRecord]) -> list[Outcome]:
         """Filter x, P along records in place, and return the outcome of each."""
         # The number of a record is its instant, so a ring's poses are looked up and not interpolated.
         direct, outcomes = self._direct, list[Outcome]()
@@ -150,9 +149,8 @@ class EchoReplay:
                 state = StateInput(at, poses, echoes, 0.0, detects_slips=False)
                 outcomes += self._compiled.filter(memory, state, POSE)[0]
             else:
-                outcomes += filter_ring(
-                    x, P, memory.used, [], at, poses, echoes, self.odometry, direct, direct.update
-                )[0]
+                outcomes += filter_ring(x, P, memory.used, [], at, poses, echoes, self.odometry, direct,
+                                        direct.update)[0]
             at = poses[-1]
         return outcomes
 
@@ -160,10 +158,8 @@ class EchoReplay:
 # 1. All poses.
 
 
-def search(
-    records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
-    others: Sequence[Place] = (), prior: Prior | None = None,
-) -> list[Place]:  # fmt: skip
+def search(records: Sequence[EchoRecord], table: RangeTable, replay: EchoReplay, parameter_stds: tuple[float, ...] = (),
+           others: Sequence[Place] = (), prior: Prior | None = None) -> list[Place]:  # fmt: skip
     """Return all poses that explain the records, the most probable first; none without records or floor.
 
     A symmetric map gives as many hypotheses as it has places that look alike.
@@ -204,17 +200,14 @@ def search(
     return merged([*((other.belief, log(other.probability)) for other in others), *new])
 
 
-def advanced(
-    hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord], replay: EchoReplay
-) -> list[Place]:
+def advanced(hypotheses: Sequence[Place], before: Floats, records: Sequence[EchoRecord],
+             replay: EchoReplay) -> list[Place]:
     """Return hypotheses at the encoders `before` (3,), filtered along records since and weighed by them."""
     replayed = [replay.run(hypothesis.belief, before, records) for hypothesis in hypotheses]
-    return merged(
-        [
-            (belief, log(hypothesis.probability) + EVIDENCE_SHARE * nats)
-            for hypothesis, (belief, nats) in zip(hypotheses, replayed, strict=True)
-        ]
-    )
+    return merged([
+        (belief, log(hypothesis.probability) + EVIDENCE_SHARE * nats)
+        for hypothesis, (belief, nats) in zip(hypotheses, replayed, strict=True)
+    ])
 
 
 def merged(weighted: Sequence[tuple[Belief, float]]) -> list[Place]:
@@ -243,7 +236,8 @@ def moved(belief: Belief, last: Floats, then: Floats) -> Belief:
 def _replayed(last: Belief, records: Sequence[EchoRecord], replay: EchoReplay) -> tuple[Belief, float]:
     """Return a belief, moved back to the first record and filtered along all of them, and its log likelihood."""
     # What the encoders may have missed on the way back is added to its variance.
-    distance_in, turn_rad = _travelled(records)
+    steps = step_between(*(np.array([record.encoders for record in part]) for part in (records[:-1], records[1:])))
+    distance_in, turn_rad = np.abs(steps.reshape(-1, 2)).sum(axis=0).tolist()
     start = moved(last, records[-1].encoders, records[0].encoders)
     cov = start.cov.copy()
     drift_rad = replay.odometry.drift_std * distance_in**0.5 + replay.odometry.rotation_std * turn_rad**0.5
@@ -256,13 +250,6 @@ def _refined(peak: Belief, records: Sequence[EchoRecord], replay: EchoReplay) ->
     """Return `_replayed` from the heading of PEAK_TURNS_RAD that explains the records best."""
     starts = [Belief(add(peak.mean, np.array((0.0, 0.0, turn_rad))), peak.cov) for turn_rad in PEAK_TURNS_RAD]
     return max((_replayed(start, records, replay) for start in starts), key=lambda pair: pair[1])
-
-
-def _travelled(records: Sequence[EchoRecord]) -> tuple[float, float]:
-    """Return the length of the path of records, and the sum of their turns."""
-    steps = step_between(*(np.array([record.encoders for record in part]) for part in (records[:-1], records[1:])))
-    distance_in, turn_rad = np.abs(steps.reshape(-1, 2)).sum(axis=0).tolist()
-    return distance_in, turn_rad
 
 
 def _log_prior(belief: Belief, last: Floats, prior: Prior | None) -> float:
@@ -332,9 +319,7 @@ def _shifts(record: EchoRecord, last: EchoRecord) -> tuple[Floats, Floats, Numbe
     return dx, dy, directions
 
 
-def _coarse(
-    chosen: Weighed, last: EchoRecord, table: RangeTable, prior: Prior | None
-) -> tuple[Numbers, Numbers]:
+def _coarse(chosen: Weighed, last: EchoRecord, table: RangeTable, prior: Prior | None) -> tuple[Numbers, Numbers]:
     """Return places and rows of HEADINGS_RAD (k,) of the best coarse poses, the best first."""
     # 1. Sum of log likelihoods; readings are independent given the pose.
     places = table.coarse_places
@@ -388,9 +373,8 @@ def _fine(place: Numbers, row: Numbers, chosen: Weighed, last: EchoRecord, table
     return total
 
 
-def _log_density(
-    place: Numbers, row: Numbers, last: EchoRecord, table: RangeTable, prior: Prior | None, cells: int = 1
-) -> Floats:
+def _log_density(place: Numbers, row: Numbers, last: EchoRecord, table: RangeTable, prior: Prior | None,
+                 cells: int = 1) -> Floats:
     """Return the log densities (n,) of poses at places with headings of these rows, by what was known before.
 
     A place stands for a square of so many cells.
@@ -468,17 +452,14 @@ def alternatives(given: Belief, records: Sequence[EchoRecord], table: RangeTable
     for peak in _peaks(records, table):
         belief, score = _replayed(peak, records, replay)
         offset = difference(belief.mean, wide.mean)
-        near = bool(offset @ information @ offset <= SAME_SQUARED) or _may_have_slipped(offset)
+        may_have_slipped = np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD
+        near = bool(offset @ information @ offset <= SAME_SQUARED or may_have_slipped)
         if near not in best or score > best[near][1]:
             best[near] = belief, score
     # 3. Both sides are compared by the same echoes, replayed.
     lead = max((score for _, score in best.values()), default=-inf) - _replayed(wide, records, replay)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
     return Alternatives(near_by, elsewhere, lead)
-
-
-def _may_have_slipped(offset: Floats) -> bool:
-    return bool(np.hypot(offset[0], offset[1]) < SLIP_IN and abs(offset[HEADING]) < SLIP_RAD)
 
 
 # 4. Searches as the filter starts them.
@@ -548,10 +529,8 @@ class TableSearch:
 
     progress = ""
 
-    def __init__(
-        self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
-        store: Callable[[RangeTable], None] = lambda _: None,
-    ) -> None:  # fmt: skip
+    def __init__(self, table: Callable[[], RangeTable], measurement: MeasurementUpdate, odometry: OdometryNoise,
+                 store: Callable[[RangeTable], None] = lambda _: None) -> None:  # fmt: skip
         self._build, self._replay, self._store = table, EchoReplay(measurement, odometry), store
 
     @cached_property
@@ -666,9 +645,8 @@ def _distances(x_in: Floats, y_in: Floats, heading: Floats, table: RangeTable) -
     closest, inlier = np.full((*x_in.shape, x_in.shape[1], len(sonars)), np.inf), 1.0 - OUTLIER_PROBABILITY
     range_in, probability = table.look_up(x_in[..., None], y_in[..., None], rows % DIRECTIONS)
     for dx, dy in ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)):
-        beside_in, beside = table.look_up(
-            x_in[..., None] + dx * side_in, y_in[..., None] + dy * side_in, rows % DIRECTIONS
-        )
+        beside_in, beside = table.look_up(x_in[..., None] + dx * side_in, y_in[..., None] + dy * side_in,
+                                          rows % DIRECTIONS)
         # The overlap of two Gaussians, each as wide as a cell, and of the rest.
         apart = (range_in[:, :, None] - beside_in[:, None]) / side_in
         one, other = inlier * probability[:, :, None], inlier * beside[:, None]

@@ -22,20 +22,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters import compiled
+from localization.filters import compiled, sonar_cone
 from localization.filters.belief import Floats
 from localization.filters.compiled import ConeArrays, ConeSonarRow, ListedWalls, row_of
-from localization.filters.sonar_cone import (
-    CLEARANCE_IN,
-    REACH_IN,
-    ConeSonar,
-    Reflectors,
-    echo_probabilities,
-    first_echoes,
-    reflectors,
-    rows_of,
-    to_wall,
-)
+from localization.filters.sonar_cone import CLEARANCE_IN, REACH_IN, ConeSonar, Reflectors
 from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map, wall_rows
 from nclient.protocol.types import MAX_SONAR_IN
 from worlds.compiled import VARIABLE, compile_function, is_wanted, make_compilable, mark_path, write_mark
@@ -240,16 +230,15 @@ def reading_densities(ranges_in: npt.ArrayLike, probabilities: npt.ArrayLike) ->
     return densities
 
 
-def sampled_echoes(
-    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float, places: int
-) -> tuple[Floats, Floats]:
+def sampled_echoes(walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float,
+                   places: int) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (k, DIRECTIONS) at up to k = `places` random places on the floor of a map.
 
     So few are computed in arrays, sooner than compiled code is loaded.
     """
     segments = wall_map(walls).segments
     low, high = segments.reshape(-1, 2).min(axis=0), segments.reshape(-1, 2).max(axis=0)
-    around = reflectors(segments)
+    around = sonar_cone.reflectors(segments)
     # Always the same places, so that a run can be repeated.
     drawn = np.random.default_rng(0).uniform(low, high, (20 * places, 2))
     chosen: list[tuple[Floats, Floats]] = []
@@ -262,10 +251,8 @@ def sampled_echoes(
     return ranges, probabilities
 
 
-def build_range_table(
-    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float,
-    progress: Callable[[float], None] = lambda _: None,
-) -> RangeTable:  # fmt: skip
+def build_range_table(walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float,
+                      progress: Callable[[float], None] = lambda _: None) -> RangeTable:  # fmt: skip
     """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall.
 
     On a large map the coarse places are computed. `progress` is called with the fraction that is done.
@@ -289,13 +276,11 @@ def build_range_table(
     return table
 
 
-def expectation(
-    origin_in: Floats, cell_in: float, number: npt.NDArray[np.int32], walls: npt.ArrayLike, body: SonarRing,
-    sonar: RaySonar | ConeSonar,
-) -> Expect:  # fmt: skip
+def expectation(origin_in: Floats, cell_in: float, number: npt.NDArray[np.int32], walls: npt.ArrayLike, body: SonarRing,
+                sonar: RaySonar | ConeSonar) -> Expect:  # fmt: skip
     """Return what computes the echoes at places of a grid: block by block of neighbouring cells."""
     segments = wall_map(walls).segments
-    around = reflectors(segments)
+    around = sonar_cone.reflectors(segments)
     rows, columns = np.nonzero(number >= 0)
     places = origin_in + cell_in * np.stack((columns, rows), axis=-1)
     block_of = rows // _BLOCK_CELLS * (number.shape[1] // _BLOCK_CELLS + 1) + columns // _BLOCK_CELLS
@@ -314,10 +299,8 @@ def expectation(
     return expect
 
 
-def _expected(
-    places: Floats, block: Floats, segments: Floats, around: Reflectors, body: SonarRing, sonar: RaySonar | ConeSonar,
-    *, may_compile: bool = True,
-) -> tuple[Floats, Floats]:  # fmt: skip
+def _expected(places: Floats, block: Floats, segments: Floats, around: Reflectors, body: SonarRing,
+              sonar: RaySonar | ConeSonar, *, may_compile: bool = True) -> tuple[Floats, Floats]:  # fmt: skip
     """Return ranges and probabilities (n, DIRECTIONS) of the most probable echo at places (n, 2) of a block (m, 2)."""
     directions: Floats = np.arange(DIRECTIONS, dtype=np.float64) * (2.0 * np.pi / DIRECTIONS)
     if isinstance(sonar, ConeSonar):
@@ -370,9 +353,8 @@ def connected(free: npt.NDArray[np.bool_], cells: Iterable[tuple[int, int]]) -> 
     return (open_ & ~left).reshape(-1, width)[1:-1, 1:-1]
 
 
-def _fits(
-    segments: Floats, clearance_in: float, cell_in: float, origin: Floats, shape: tuple[int, int]
-) -> npt.NDArray[np.bool_]:
+def _fits(segments: Floats, clearance_in: float, cell_in: float, origin: Floats,
+          shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
     """Return (rows, columns) True for the cells of a grid where the robot fits."""
     rows, columns = shape
     free = np.empty((rows, columns), dtype=np.bool_)
@@ -392,9 +374,8 @@ def _poses(places: Floats, directions: Floats) -> Floats:
     return poses
 
 
-def _most_probable(
-    places: Floats, directions: Floats, seen: Reflectors, blocking: Floats, body: SonarRing, sonar: ConeSonar
-) -> tuple[Floats, Floats]:
+def _most_probable(places: Floats, directions: Floats, seen: Reflectors, blocking: Floats, body: SonarRing,
+                   sonar: ConeSonar) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (n, d) of the most probable echo at neighbouring places (n, 2), by direction.
 
     `seen` are the reflectors in sight, `blocking` (m, 4) the walls that may block the view.
@@ -406,7 +387,7 @@ def _most_probable(
     # In parts: an array of all poses and all reflectors takes 40 MB.
     for first in range(0, len(poses), _PART_POSES):
         part = slice(first, first + _PART_POSES)
-        ranges_in, probability = echo_probabilities(poses[part], std[part], mount, seen, sonar, blocking)
+        ranges_in, probability = sonar_cone.echo_probabilities(poses[part], std[part], mount, seen, sonar, blocking)
         if probability.shape[1]:
             best = probability.argmax(axis=-1)[:, None]
             range_in[part], likeliest[part] = (
@@ -418,9 +399,8 @@ def _most_probable(
 def _within_range(places: Floats, around: Reflectors) -> Reflectors:
     """Return the reflectors from which neighbouring places (n, 2) may receive an echo."""
     middle = places.mean(axis=0)
-    return around.some(
-        nearest_points(middle, around.walls)[1] <= _FAR_IN, np.hypot(*(around.vertices - middle).T) <= _FAR_IN
-    )
+    return around.some(nearest_points(middle, around.walls)[1] <= _FAR_IN,
+                       np.hypot(*(around.vertices - middle).T) <= _FAR_IN)
 
 
 def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Reflectors, Floats]:
@@ -451,10 +431,8 @@ def around_block(places: Floats, around: Reflectors, ring_in: float) -> tuple[Re
 # Compiled: among the 1,285 walls of an office floor a place takes 7 ms in arrays and 1 ms so.
 
 
-def likeliest_echoes(
-    places: Any, ring_in: float, heading_std_rad: float, sonar: Any, walls: Any, faces: Any, vertices: Any,
-    ranges_in: Any, probabilities: Any,
-) -> None:  # fmt: skip
+def likeliest_echoes(places: Any, ring_in: float, heading_std_rad: float, sonar: Any, walls: Any, faces: Any,
+                     vertices: Any, ranges_in: Any, probabilities: Any) -> None:  # fmt: skip
     """Store the most probable first echo at places (n, 2), in directions that divide a turn.
 
     Parameters
@@ -481,7 +459,7 @@ def likeliest_echoes(
         # 2. The most probable echo in each direction.
         for direction in range(directions):
             heading = direction * (2.0 * pi / directions)
-            for echo in first_echoes(x, y, heading, heading_std_rad, mount, model):
+            for echo in sonar_cone.first_echoes(x, y, heading, heading_std_rad, mount, model):
                 if echo.probability > probabilities[place, direction]:
                     ranges_in[place, direction] = echo.range_in
                     probabilities[place, direction] = echo.probability
@@ -489,7 +467,7 @@ def likeliest_echoes(
 
 def is_in_front(x: float, y: float, row: Any, reach_in: float) -> bool:
     """Return True if the foot of the perpendicular from near (x, y) may lie on a wall, a row of five numbers."""
-    _, _, _, foot = to_wall(x, y, row[0], row[1], row[2], row[3])
+    _, _, _, foot = sonar_cone.to_wall(x, y, row[0], row[1], row[2], row[3])
     return bool(-reach_in < foot < row[4] + reach_in)
 
 
@@ -497,10 +475,8 @@ def is_in_front(x: float, y: float, row: Any, reach_in: float) -> bool:
 def _compile(sources: int) -> Callable[..., None]:
     """Return `likeliest_echoes` compiled, with plain tuples as arguments, or loaded from the cache."""
 
-    def entry(
-        places: Any, ring_in: Any, std: Any, sonar: Any, walls: Any, faces: Any, vertices: Any, ranges: Any,
-        probabilities: Any,
-    ) -> None:  # fmt: skip
+    def entry(places: Any, ring_in: Any, std: Any, sonar: Any, walls: Any, faces: Any, vertices: Any, ranges: Any,
+              probabilities: Any) -> None:  # fmt: skip
         assert sources >= 0
         arrays = compiled.WallArrays(walls, walls, (0.0, 0.0, 0.0))
         likeliest_echoes(places, ring_in, std, ConeSonarRow(*sonar), arrays, faces, vertices, ranges, probabilities)
@@ -522,9 +498,8 @@ def _row(sonar: ConeSonar) -> tuple[float, ...]:
     return tuple(row_of(ConeSonarRow, sonar))
 
 
-def compiled_echoes(
-    places: Floats, directions: int, around: Reflectors, ring_in: float, heading_std_rad: float, sonar: ConeSonar
-) -> tuple[Floats, Floats] | None:
+def compiled_echoes(places: Floats, directions: int, around: Reflectors, ring_in: float, heading_std_rad: float,
+                    sonar: ConeSonar) -> tuple[Floats, Floats] | None:
     """Return ranges and probabilities (n, directions) of the most probable echo at places (n, 2).
 
     None if compiled code is not to be used.
@@ -534,7 +509,7 @@ def compiled_echoes(
         return None
     run = _compile(sources)
     ranges, probabilities = np.zeros((len(places), directions)), np.zeros((len(places), directions))
-    faces, vertices = rows_of(around, sonar)
+    faces, vertices = sonar_cone.rows_of(around, sonar)
     run(np.ascontiguousarray(places, dtype=np.float64), ring_in, heading_std_rad, _row(sonar),
         np.ascontiguousarray(around.walls), faces, vertices, ranges, probabilities)  # fmt: skip
     return ranges, probabilities

@@ -36,9 +36,8 @@ Factory = Callable[[LocalizationConfig, Belief, int], Filter]
 def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     stds = config.range_stds or ()
     measurement = _measurement(config, linear, len(stds))
-    return FixedLagSmoother(
-        belief, measurement, config.odometry, range_stds=stds, middle_in=_middle(config), limits=_LIMITS
-    )
+    return FixedLagSmoother(belief, measurement, config.odometry, range_stds=stds, middle_in=_middle(config),
+                            limits=_LIMITS)
 
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
@@ -47,9 +46,8 @@ def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     states = particles.draw_particles(belief, parameters.particles, rng)
     kind: Any = particles.ConeLikelihood if isinstance(config.sonar, ConeSonar) else particles.RayLikelihood
     likelihood = kind(config.walls, config.body, config.sonar)
-    return particles.ParticleFilter(
-        states, likelihood, config.odometry, rng, parameters, config.range_stds or (), _middle(config)
-    )
+    return particles.ParticleFilter(states, likelihood, config.odometry, rng, parameters, config.range_stds or (),
+                                    _middle(config))
 
 
 def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
@@ -59,17 +57,15 @@ def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
 
 FINDER: Final = "finder"
 """The method that can begin without a belief."""
-METHODS: Final[Mapping[str, Factory]] = MappingProxyType(
-    {
-        "ekf": lambda config, belief, _: _kalman(config, belief),
-        "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
-        "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
-        "smoother": _smoother,
-        "mcl": _particles,
-        FINDER: lambda config, belief, _: finder(config, belief),
-        "offsets": _offsets,
-    }
-)
+METHODS: Final[Mapping[str, Factory]] = MappingProxyType({
+    "ekf": lambda config, belief, _: _kalman(config, belief),
+    "iekf": lambda config, belief, _: _kalman(config, belief, iterated),
+    "ukf": lambda config, belief, _: _kalman(config, belief, ukf.unscented, ukf.predict_state),
+    "smoother": _smoother,
+    "mcl": _particles,
+    FINDER: lambda config, belief, _: finder(config, belief),
+    "offsets": _offsets,
+})
 """Every method by its name; they differ in the rule of the update, the prediction or the form of the belief."""
 DEFAULT_METHOD: Final = "ekf"
 
@@ -93,9 +89,8 @@ MAX_NIS_RATIO: Final = 2.5
 """The covariance is widened for a mean NIS up to this."""
 MIN_MATCHED: Final = 0.37
 """Exact rays that are taken for cones are explained to a third by accident."""
-_LIMITS: Final = HealthLimits(
-    min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS, heading_nats=HEADING_NATS
-)
+_LIMITS: Final = HealthLimits(min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS,
+                              heading_nats=HEADING_NATS)
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
@@ -115,10 +110,8 @@ def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0)
     return METHODS[method](config, belief, seed)
 
 
-def finder(
-    config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (),
-    poses: PoseSearch | None = None, alike: Sequence[Floats] = (),
-) -> GlobalLocalizer:  # fmt: skip
+def finder(config: LocalizationConfig, belief: Belief | None, parameter_stds: tuple[float, ...] = (),
+           poses: PoseSearch | None = None, alike: Sequence[Floats] = ()) -> GlobalLocalizer:  # fmt: skip
     """Return the filter that localizes globally; without a belief it begins with a search.
 
     `parameter_stds` are of the odometry parameters, where there is no belief that has them. `poses` searches the map.
@@ -155,9 +148,8 @@ def _table(walls: bytes, body: _Ring, sonar: RaySonar | ConeSonar, clearance_in:
     return build_range_table(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
 
 
-def _kalman(
-    config: LocalizationConfig, belief: Belief, rule: Rule = linear, prediction: Prediction = predict_state
-) -> KalmanFilter:
+def _kalman(config: LocalizationConfig, belief: Belief, rule: Rule = linear,
+            prediction: Prediction = predict_state) -> KalmanFilter:
     """Return a Kalman filter that estimates the range parameters as well, unless the configuration has none."""
     stds = config.range_stds or ()
     measurement, limits = _measurement(config, rule, len(stds)), _LIMITS
@@ -178,9 +170,7 @@ def _measurement(config: LocalizationConfig, rule: Rule = linear, range_paramete
     return update_for(config.walls, config.body, config.sonar, config.gate, rule, range_parameters)
 
 
-def update_for(
-    walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, rule: Rule = linear,
-    range_parameters: int = 0,
-) -> MeasurementUpdate:  # fmt: skip
+def update_for(walls: npt.ArrayLike, body: Body, sonar: RaySonar | ConeSonar, gate: Gate = STRICT, rule: Rule = linear,
+               range_parameters: int = 0) -> MeasurementUpdate:  # fmt: skip
     """Return the measurement update for sonars of this type; `range_parameters` as in `update.expected_reading`."""
     return MeasurementUpdate(measurement_model(walls, body, sonar, gate, range_parameters), rule)

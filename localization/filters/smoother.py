@@ -45,11 +45,9 @@ class FixedLagSmoother(KalmanFilter):
 
     TAKES_RINGS: ClassVar[bool] = False
 
-    def __init__(
-        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG,
-        range_stds: Sequence[float] = (), middle_in: tuple[float, float] = (0.0, 0.0),
-        limits: HealthLimits | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG,
+                 range_stds: Sequence[float] = (), middle_in: tuple[float, float] = (0.0, 0.0),
+                 limits: HealthLimits | None = None) -> None:  # fmt: skip
         super().__init__(belief, measurement, odometry, range_stds=range_stds, middle_in=middle_in, limits=limits)
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")

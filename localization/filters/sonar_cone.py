@@ -28,33 +28,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import sonar_ray, update
 from localization.filters.belief import HEADING, Floats, Number, choose, clip, exp, sqrt, unit_vector, wrap_angle
-from localization.filters.sonar_ray import (
-    NOMAD,
-    WIRE_SONAR,
-    RangeNoise,
-    constant_variance,
-    nearest,
-    range_variance,
-    ray_sonar,
-    wall_map,
-)
-from localization.filters.update import (
-    LIMIT,
-    NO_WALL,
-    NONE,
-    REFUSALS,
-    Association,
-    Covariance,
-    DirectModel,
-    Outcome,
-    Refusal,
-    State,
-    expected_reading,
-    linear,
-    mount_at,
-    update_by_association,
-)
+from localization.filters.sonar_ray import NOMAD, WIRE_SONAR, RangeNoise
+from localization.filters.update import Association, Covariance, DirectModel, Outcome, Refusal, State
 from worlds.raycast import sort_by_range
 from worlds.raycast_arrays import cast_rays
 from worlds.rings import Ring, SonarMount
@@ -114,10 +91,8 @@ class Reflectors:
 
     def some(self, walls: Mask, vertices: Mask) -> Reflectors:
         """Return those alone that are selected, (m,) and (v,)."""
-        return Reflectors(
-            self.walls[walls], self.corners[walls], self.along[walls], self.normals[walls], self.lengths[walls],
-            self.vertices[vertices], self.square[vertices], self.free[vertices],
-        )  # fmt: skip
+        return Reflectors(self.walls[walls], self.corners[walls], self.along[walls], self.normals[walls],
+                          self.lengths[walls], self.vertices[vertices], self.square[vertices], self.free[vertices])
 
 
 def reflectors(segments: npt.ArrayLike) -> Reflectors:
@@ -246,11 +221,9 @@ def building_sonar(ring: Ring) -> ConeSonar:
 
 
 def _on_ring(sonar: ConeSonar, ring: Ring) -> ConeSonar:
-    rays = ray_sonar(ring)
-    return replace(
-        sonar, rounding_var_in2=rays.rounding_var_in2, lowest_in=rays.lowest_in, highest_in=rays.highest_in,
-        cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad,
-    )  # fmt: skip
+    rays = sonar_ray.ray_sonar(ring)
+    return replace(sonar, rounding_var_in2=rays.rounding_var_in2, lowest_in=rays.lowest_in, highest_in=rays.highest_in,
+                   cone_rad=sonar.cone_rad if ring.half_cone_rad is None else 2.0 * ring.half_cone_rad)  # fmt: skip
 
 
 def arm_of(mount: SonarMount, axis_x: Number, axis_y: Number) -> tuple[Number, Number]:
@@ -261,9 +234,8 @@ def arm_of(mount: SonarMount, axis_x: Number, axis_y: Number) -> tuple[Number, N
 # The formulas, for one number or an array.
 
 
-def to_wall(
-    x: Number, y: Number, corner_x: Number, corner_y: Number, normal_x: Number, normal_y: Number
-) -> tuple[Number, Number, Number, Number]:
+def to_wall(x: Number, y: Number, corner_x: Number, corner_y: Number, normal_x: Number,
+            normal_y: Number) -> tuple[Number, Number, Number, Number]:
     """Return range, unit vector (two numbers) and foot of the perpendicular from (x, y) to a wall.
 
     The foot is the distance along the wall from its corner; the wall's direction is its normal turned to the right.
@@ -297,9 +269,8 @@ def foot_probability(foot: Number, length: Number) -> Number:
     return normal_cdf(foot / FOOT_STD_IN) * normal_cdf((length - foot) / FOOT_STD_IN)
 
 
-def detection_probability(
-    off_axis_rad: Number, range_in: Number, loss_db: Number, blur_rad: Number, sonar: ConeSonar
-) -> Number:
+def detection_probability(off_axis_rad: Number, range_in: Number, loss_db: Number, blur_rad: Number,
+                          sonar: ConeSonar) -> Number:
     """Return the probability that a reflector is detected, if no other is nearer.
 
     Parameters
@@ -345,9 +316,8 @@ class EchoCandidate(NamedTuple):
     probability: float
 
 
-def first_echoes(
-    x: float, y: float, heading: float, heading_std_rad: float, mount: SonarMount, model: ConeModel
-) -> list[EchoCandidate]:
+def first_echoes(x: float, y: float, heading: float, heading_std_rad: float, mount: SonarMount,
+                 model: ConeModel) -> list[EchoCandidate]:
     """Return what a sonar in a direction from the heading may detect from a pose, the nearest first."""
     # 1. The face of the sonar, its axis, and the widest angle at which anything is detected.
     sonar, axis = model.noise, heading + mount.direction_rad
@@ -386,7 +356,7 @@ def first_echoes(
     sort_by_range(found)
     undetected, echoes = 1.0, []
     for range_in, number, to_x, to_y, probability in found:
-        if nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
+        if sonar_ray.nearest(face_x, face_y, to_x, to_y, model.walls)[0] < range_in - CLEARANCE_IN:
             continue
         if undetected > 0.0:
             H = range_jacobian(to_x, to_y, arm_x, arm_y)
@@ -395,9 +365,8 @@ def first_echoes(
     return echoes
 
 
-def detectable(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel
-) -> tuple[int, float, list[EchoCandidate]]:
+def detectable(x: State, P: Covariance, mount: SonarMount, reading_in: float,
+               model: ConeModel) -> tuple[int, float, list[EchoCandidate]]:
     """Return NONE or why a reading is no echo, its likelihood then, and the reflectors that may have returned it."""
     noise = model.noise
     candidates = []
@@ -405,40 +374,36 @@ def detectable(
         x[0], x[1], x[HEADING], sqrt(P[HEADING][HEADING]), mount, model
     ):
         # A reflector beyond the limit reads "nothing".
-        nearer = normal_cdf((noise.highest_in - range_in) / sqrt(range_variance(noise, range_in)))
+        nearer = normal_cdf((noise.highest_in - range_in) / sqrt(sonar_ray.range_variance(noise, range_in)))
         if nearer > MIN_PROBABILITY:
             candidates.append(EchoCandidate(number, range_in, H, probability * nearer))
     if reading_in <= noise.lowest_in:
-        return LIMIT, 1.0, candidates
+        return update.LIMIT, 1.0, candidates
     if reading_in >= noise.highest_in:  # "nothing": the probability that nothing was detected
         detected = sum([candidate.probability for candidate in candidates])
-        return LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected, candidates
-    return (NONE, 1.0, candidates) if candidates else (NO_WALL, noise.outlier_density, candidates)
+        return update.LIMIT, 1.0 - (1.0 - noise.outlier_probability) * detected, candidates
+    return (update.NONE, 1.0, candidates) if candidates else (update.NO_WALL, noise.outlier_density, candidates)
 
 
 def hypotheses(x: State, candidates: list[EchoCandidate], model: ConeModel) -> Association:
     """Return the hypotheses for a reading of one of these reflectors."""
     noise, parameters = model.noise, model.range_parameters
-    expected = [expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
-    return Association(
-        Refusal.NONE, 1.0, [reading_in for reading_in, _ in expected], [H for _, H in expected],
-        [range_variance(noise, candidate.range_in) for candidate in candidates],
-        [constant_variance(noise, candidate.range_in) for candidate in candidates],
-        [candidate.probability for candidate in candidates], None, noise.outlier_probability, noise.outlier_density,
-        0.0, parameters, 1.0,
-    )  # fmt: skip
+    expected = [update.expected_reading(x, candidate.range_in, candidate.H, parameters) for candidate in candidates]
+    return Association(Refusal.NONE, 1.0, [reading_in for reading_in, _ in expected], [H for _, H in expected],
+                       [sonar_ray.range_variance(noise, candidate.range_in) for candidate in candidates],
+                       [sonar_ray.constant_variance(noise, candidate.range_in) for candidate in candidates],
+                       [candidate.probability for candidate in candidates], None, noise.outlier_probability,
+                       noise.outlier_density, 0.0, parameters, 1.0)  # fmt: skip
 
 
-def update_by_cone(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int,
-    outlier_fraction: float,
-) -> Outcome:  # fmt: skip
+def update_by_cone(x: State, P: Covariance, mount: SonarMount, reading_in: float, model: ConeModel, count: int,
+                   outlier_fraction: float) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a sonar, its direction from the heading, in place (`pda_update`)."""
     refusal, likelihood, candidates = detectable(x, P, mount, reading_in, model)
-    if refusal != NONE:
+    if refusal != update.NONE:
         return refusal, 0.0, 0.0, 1.0, likelihood, 0.0
     association = hypotheses(x, candidates, model)
-    return update_by_association(x, P, reading_in, association, linear, count, outlier_fraction)
+    return update.update_by_association(x, P, reading_in, association, update.linear, count, outlier_fraction)
 
 
 def rows_of(around: Reflectors, sonar: ConeSonar) -> tuple[Floats, Floats]:
@@ -457,7 +422,7 @@ class ConeModel(DirectModel):
     noise: ConeSonar
 
     def __init__(self, walls: npt.ArrayLike, body: Body, sonar: ConeSonar, range_parameters: int = 0) -> None:
-        self.walls, self.noise = wall_map(walls), sonar
+        self.walls, self.noise = sonar_ray.wall_map(walls), sonar
         self.mounts = body.ring.mounts
         around = reflectors(self.walls.segments)
         if sonar.surface_std_in:
@@ -469,14 +434,13 @@ class ConeModel(DirectModel):
         self.faces, self.vertices = faces.tolist(), vertices.tolist()
         self.update, self.range_parameters = update_by_cone, range_parameters
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return a hypothesis for each reflector that may return the first echo."""
-        mount = mount_at(self.mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self.mounts, sonar, turret_offset_rad)
         refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self)
-        if refusal != NONE:
-            return Association(REFUSALS[refusal], likelihood)
+        if refusal != update.NONE:
+            return Association(update.REFUSALS[refusal], likelihood)
         numbers = np.array([one.reflector for one in candidates])
         expect = partial(ranges_to, mount=mount, around=self.around, numbers=numbers)
         return hypotheses(x, candidates, self)._replace(range_function=expect)
@@ -517,10 +481,8 @@ class _Geometry(NamedTuple):
     feet_in: Floats
 
 
-def expected_echoes(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
-    walls_in: Floats | None = None,
-) -> ExpectedEchoes:  # fmt: skip
+def expected_echoes(poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
+                    walls_in: Floats | None = None) -> ExpectedEchoes:  # fmt: skip
     """Return the expected echoes of all reflectors at poses (..., 3), their headings uncertain by (...) radians.
 
     `walls_in` (m', 4) may block the path. Default: all walls of `around`.
@@ -534,10 +496,8 @@ def expected_echoes(
     return ExpectedEchoes(seen.ranges_in, _stacked(seen.to_x, seen.to_y, seen.arm_x, seen.arm_y), probability)
 
 
-def echo_probabilities(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
-    walls_in: Floats | None = None,
-) -> tuple[Floats, Floats]:  # fmt: skip
+def echo_probabilities(poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar,
+                       walls_in: Floats | None = None) -> tuple[Floats, Floats]:  # fmt: skip
     """Return ranges and probabilities (n, j) of `expected_echoes` at poses (n, 3).
 
     Only the j reflectors that are detected from at least one of the poses are included. `walls_in` (m', 4) may block
@@ -589,9 +549,8 @@ def _geometry(poses: Floats, mount: SonarMount, around: Reflectors) -> _Geometry
     return _Geometry(x, y, axis, arm_x, arm_y, ranges, to_x, to_y, feet)
 
 
-def _within_reach(
-    poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors, sonar: ConeSonar
-) -> Reflectors:
+def _within_reach(poses: Floats, heading_std_rad: Floats, mount: SonarMount, around: Reflectors,
+                  sonar: ConeSonar) -> Reflectors:
     """Return the reflectors that may lie in the cone from any of the poses (n, 3).
 
     From the middle of all poses a direction differs by no more than the headings do, and that to a vertex besides by
@@ -617,9 +576,8 @@ def _within_reach(
     return around.some(walls, off_axis[count:] <= widest + parallax + _ROUNDING)
 
 
-def _detected(
-    seen: _Geometry, heading_std_rad: Floats, around: Reflectors, sonar: ConeSonar, walls_in: Floats
-) -> Floats:
+def _detected(seen: _Geometry, heading_std_rad: Floats, around: Reflectors, sonar: ConeSonar,
+              walls_in: Floats) -> Floats:
     """Return the probability (..., k) that each is detected, if it were the only one.
 
     It is 0 up to MIN_PROBABILITY, and where one of the walls (m', 4) blocks the path.

@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from localization.filters import update
 from localization.filters.belief import (
     HEADING,
     Belief,
@@ -39,27 +40,7 @@ from localization.filters.belief import (
     unit_vector,
     unpack,
 )
-from localization.filters.update import (
-    AMBIGUOUS_WALL,
-    GATE,
-    GRAZING,
-    LIMIT,
-    NO_WALL,
-    NONE,
-    REFUSALS,
-    Association,
-    Covariance,
-    DirectModel,
-    Outcome,
-    Refusal,
-    State,
-    expected_reading,
-    forward_slope,
-    inflated_variance,
-    kalman_gain,
-    mount_at,
-    shift,
-)
+from localization.filters.update import NONE, Association, Covariance, DirectModel, Outcome, Refusal, State
 from worlds import raycast
 from worlds.geometry import MAX_LOOP_WALLS
 from worlds.raycast import cast_ray, nearest_wall, sole_wall
@@ -155,10 +136,8 @@ PLACE_VAR_IN2: Final = 0.02
 
 def ray_sonar(ring: Ring) -> RaySonar:
     """Return exact rays of a ring: a uniform error of its resolution q, variance q^2/12, and its limits."""
-    return RaySonar(
-        rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2, lowest_in=ring.min_range_in,
-        highest_in=ring.max_range_in,
-    )  # fmt: skip
+    return RaySonar(rounding_var_in2=ring.resolution_in**2 / 12.0, place_var_in2=PLACE_VAR_IN2,
+                    lowest_in=ring.min_range_in, highest_in=ring.max_range_in)  # fmt: skip
 
 
 WIRE_SONAR = ray_sonar(NOMAD)
@@ -254,10 +233,8 @@ def row_from(x: Number, y: Number, direction: Number, left_in: float, walls: Wal
     return nearest(x - left_in * dy, y + left_in * dx, dx, dy, walls)[1]
 
 
-def only_wall(
-    x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
-    left_in: float = 0.0,
-) -> int:  # fmt: skip
+def only_wall(x: Sequence[float], P: Sequence[Sequence[float]], dx: float, dy: float, walls: WallMap, gate: Gate,
+              left_in: float = 0.0) -> int:  # fmt: skip
     """Return the only wall that a beam can meet from any pose of the ellipsoid of `gate.sigmas`.
 
     These poses move the end of a wall, in the frame of the beam, by no more than the origin moves and the angle times
@@ -323,9 +300,8 @@ class BeamPrediction(NamedTuple):
     refusal: Any
 
 
-def intersect_line(
-    x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number], left_in: float = 0.0
-) -> tuple[Number, tuple[Number, Number, Number], Number]:
+def intersect_line(x: Number, y: Number, dx: Number, dy: Number, line: Sequence[Number],
+                   left_in: float = 0.0) -> tuple[Number, tuple[Number, Number, Number], Number]:
     """Return distance, derivative and cosine of incidence of a ray from (x, y) along (dx, dy) to a line.
 
     Parameters
@@ -354,9 +330,8 @@ def intersect_line(
     return distance, H, cosine
 
 
-def sideways_shift(
-    P: Sequence[Sequence[Number]], dx: Number, dy: Number, distance: Number, sigmas: float
-) -> tuple[Number, Number, Number]:
+def sideways_shift(P: Sequence[Sequence[Number]], dx: Number, dy: Number, distance: Number,
+                   sigmas: float) -> tuple[Number, Number, Number]:
     """Return the change of the pose, `sigmas` standard deviations, that moves the end of a beam farthest sideways.
 
     With g = (-dy, dx, distance), the derivative of the sideways motion by the pose, that is sigmas P g / sqrt(g^T P g):
@@ -371,10 +346,8 @@ def sideways_shift(
     return scale * Pg_x, scale * Pg_y, scale * Pg_heading
 
 
-def predict_beam(
-    x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap, gate: Gate,
-    left_in: float = 0.0,
-) -> BeamPrediction:  # fmt: skip
+def predict_beam(x: Sequence[Any], P: Sequence[Sequence[Any]], angle_rad: Any, ring_radius_in: Any, walls: WallMap,
+                 gate: Gate, left_in: float = 0.0) -> BeamPrediction:  # fmt: skip
     """Return the expected reading of beams at `angle_rad` from the heading.
 
     Parameters
@@ -402,19 +375,17 @@ def predict_beam(
     # 2. The expected range and its derivative.
     distance, H, cosine = intersect_line(from_x, from_y, dx, dy, line_of(row, walls), left_in)
     if sole != raycast.NO_WALL:  # no other wall, from any pose
-        refusal = NONE if abs(cosine) >= gate.min_cos_incidence else GRAZING
+        refusal = NONE if abs(cosine) >= gate.min_cos_incidence else update.GRAZING
         return BeamPrediction(row, distance - ring_radius_in, H, refusal)
     # 3. The wall from the two poses that move the end of the beam farthest sideways.
     reach = choose(cosine == cosine, distance, 0.0)  # NaN where there is no wall: the ray caster wants finite rays
     shift_x, shift_y, shift_heading = sideways_shift(P, dx, dy, reach, gate.sigmas)
     ambiguous = row_from(x_in + shift_x, y_in + shift_y, direction + shift_heading, left_in, walls) != row
-    ambiguous = ambiguous | (
-        row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row
-    )
+    ambiguous = ambiguous | (row_from(x_in - shift_x, y_in - shift_y, direction - shift_heading, left_in, walls) != row)
     # 4. The first reason, in the order of Refusal, that excludes the beam. A wall seen end-on is ambiguous.
-    refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, GRAZING)
-    refusal = choose(ambiguous | (cosine != cosine), AMBIGUOUS_WALL, refusal)
-    refusal = choose(row == raycast.NO_WALL, NO_WALL, refusal)
+    refusal = choose(abs(cosine) >= gate.min_cos_incidence, NONE, update.GRAZING)
+    refusal = choose(ambiguous | (cosine != cosine), update.AMBIGUOUS_WALL, refusal)
+    refusal = choose(row == raycast.NO_WALL, update.NO_WALL, refusal)
     return BeamPrediction(row, distance - ring_radius_in, H, refusal)
 
 
@@ -429,10 +400,8 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
 # One reading of a live robot.
 
 
-def update_by_ray(
-    x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
-    _outlier_fraction: float = 1.0,
-) -> Outcome:  # fmt: skip
+def update_by_ray(x: State, P: Covariance, mount: SonarMount, reading_in: float, model: RayModel, count: int,
+                  _outlier_fraction: float = 1.0) -> Outcome:  # fmt: skip
     """Correct x and P by the reading of a beam, in place, if it passes the gate: the Kalman update.
 
     Parameters
@@ -440,33 +409,33 @@ def update_by_ray(
     mount
         The sonar, its direction from the heading.
     count
-        Number of this reading among those from the same pose (`CorrelatedReadings`).
+        Number of this reading among those from the same pose (`update.count_used`).
     _outlier_fraction
         Of no use: outliers do not correct at all.
     """
     # 1. A reading at a limit is no range.
     noise = model.noise
     if not noise.lowest_in < reading_in < noise.highest_in:
-        return LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0
+        return update.LIMIT, 0.0, 0.0, 1.0, 1.0, 0.0
     # 2. The expected reading, and whether the beam can be used.
     beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, model.walls, model.gate, mount.left_in)
     if beam.refusal != NONE:
         return beam.refusal, 0.0, 0.0, 1.0, 1.0 / noise.range_span_in, 0.0
     # 3. innovation = z - h(x), S = H P H^T + R, K = P H^T / S.
     R = range_variance(noise, beam.range_in)
-    expected_in, H = expected_reading(x, beam.range_in, beam.H, model.range_parameters)
+    expected_in, H = update.expected_reading(x, beam.range_in, beam.H, model.range_parameters)
     innovation = reading_in - expected_in
-    K, S = kalman_gain(P, H, R)
+    K, S = update.kalman_gain(P, H, R)
     # 4. The chi-square gate. For the likelihood some readings are outliers, and these are beyond it.
     nis = innovation * innovation / S
-    slope = forward_slope(H, *unit_vector(x[HEADING]))
+    slope = update.forward_slope(H, *unit_vector(x[HEADING]))
     if not nis <= model.threshold:
-        return GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
+        return update.GATE, innovation, nis, 1.0, RAY_OUTLIERS / noise.range_span_in, slope
     density = exp(-0.5 * nis) / sqrt(2.0 * pi * S)
     # 5. x+ = x + K innovation, P+ = P - K S K^T; of a repeated reading with the R that leaves its new information.
     if count > 1:
-        K, S = kalman_gain(P, H, inflated_variance(R, constant_variance(noise, beam.range_in), count))
-    shift(x, K, innovation)
+        K, S = update.kalman_gain(P, H, update.inflated_variance(R, constant_variance(noise, beam.range_in), count))
+    update.shift(x, K, innovation)
     add_outer(P, -S, K)
     return NONE, innovation, nis, 0.0, (1.0 - RAY_OUTLIERS) * density + RAY_OUTLIERS / noise.range_span_in, slope
 
@@ -476,30 +445,26 @@ class RayModel(DirectModel):
 
     noise: RaySonar
 
-    def __init__(
-        self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT, range_parameters: int = 0
-    ) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: Body, sonar: RaySonar, gate: Gate = STRICT,
+                 range_parameters: int = 0) -> None:
         self.walls, self.noise, self.gate, self.threshold = wall_map(walls), sonar, gate, gate.threshold
         self.mounts = body.ring.mounts
         self.update, self.range_parameters = update_by_ray, range_parameters
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return the one hypothesis for a reading: the wall that its beam meets, or the reason why it is refused."""
-        mount = mount_at(self.mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self.mounts, sonar, turret_offset_rad)
         # A trial update of a copy, so that all rules refuse the same readings.
         refusal, *_, likelihood, _ = update_by_ray(x.copy(), [row.copy() for row in P], mount, reading_in, self, 1)
         if refusal != NONE:
-            return Association(REFUSALS[refusal], likelihood)
+            return Association(update.REFUSALS[refusal], likelihood)
         beam = predict_beam(x, P, mount.direction_rad, mount.ring_in, self.walls, self.gate, mount.left_in)
-        expected_in, H = expected_reading(x, beam.range_in, beam.H, self.range_parameters)
-        return Association(
-            Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
-            [constant_variance(self.noise, beam.range_in)], [1.0],
-            partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
-            range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in,
-        )  # fmt: skip
+        expected_in, H = update.expected_reading(x, beam.range_in, beam.H, self.range_parameters)
+        return Association(Refusal.NONE, 1.0, [expected_in], [H], [range_variance(self.noise, beam.range_in)],
+                           [constant_variance(self.noise, beam.range_in)], [1.0],
+                           partial(_ranges_to_line, mount, line_of(beam.row, self.walls)), gate_outliers=RAY_OUTLIERS,
+                           range_parameters=self.range_parameters, range_span_in=self.noise.range_span_in)  # fmt: skip
 
 
 def _ranges_to_line(mount: SonarMount, line: Sequence[float], poses: Floats) -> tuple[Floats, Floats]:
@@ -562,15 +527,13 @@ def ranges_along(poses: Floats, mount: SonarMount, walls: WallMap) -> BeamPredic
     x, y = x - mount.left_in * dy, y + mount.left_in * dx
     _, row = nearest(x, y, dx, dy, walls)
     distance, H, cosine = intersect_line(x, y, dx, dy, line_of(row, walls), mount.left_in)
-    flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, GRAZING)
-    refusal = np.where(row == raycast.NO_WALL, NO_WALL, flat)
+    flat = np.where(np.abs(cosine) >= STRICT.min_cos_incidence, NONE, update.GRAZING)
+    refusal = np.where(row == raycast.NO_WALL, update.NO_WALL, flat)
     return BeamPrediction(row, distance - mount.ring_in, H, refusal)
 
 
-def observe_ring(
-    belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap, sonar: RaySonar,
-    gate: Gate = STRICT,
-) -> Observation:  # fmt: skip
+def observe_ring(belief: Belief, angles_rad: Floats, readings_in: Floats, body: SonarRing, walls: WallMap,
+                 sonar: RaySonar, gate: Gate = STRICT) -> Observation:  # fmt: skip
     """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs over poses (..., 3)."""
     # 1. The expected readings; elements of the belief get a dimension for the beams.
     x, P = unpack(Belief(belief.mean[..., None, :], belief.cov[..., None, :, :]))
@@ -579,12 +542,11 @@ def observe_ring(
     innovation = readings_in - beams.range_in
     R = sonar.variance(beams.range_in)
     passed = innovation * innovation <= gate.threshold * (predicted_variance(P, beams.H) + R)
-    refusals = np.where((beams.refusal == NONE) & ~passed, GATE, beams.refusal)
+    refusals = np.where((beams.refusal == NONE) & ~passed, update.GATE, beams.refusal)
     is_range = (readings_in > sonar.lowest_in) & (readings_in < sonar.highest_in)
-    refusals = np.where(is_range, refusals, LIMIT).astype(np.int8)
+    refusals = np.where(is_range, refusals, update.LIMIT).astype(np.int8)
     # 3. Beams left out change nothing.
     used = refusals == NONE
     H = np.stack(np.broadcast_arrays(*beams.H), axis=-1)
-    return Observation(
-        np.where(used, innovation, 0.0), np.where(used[..., None], H, 0.0), np.where(used, R, 1.0), refusals
-    )
+    return Observation(np.where(used, innovation, 0.0), np.where(used[..., None], H, 0.0), np.where(used, R, 1.0),
+                       refusals)

@@ -30,28 +30,11 @@ from typing import Final
 
 import numpy as np
 
+from localization.filters import update
 from localization.filters.belief import HEADING, unit_vector, wrap_angle
 from localization.filters.sonar_cone import ConeModel, detectable
 from localization.filters.sonar_ray import range_variance
-from localization.filters.update import (
-    NONE,
-    OUTLIER_THRESHOLD,
-    REFUSALS,
-    Association,
-    Correction,
-    Covariance,
-    MeasurementUpdate,
-    Refusal,
-    State,
-    UpdateResult,
-    association_probabilities,
-    expected_reading,
-    forward_slope,
-    gate_code,
-    kalman_gain,
-    linear,
-    mount_at,
-)
+from localization.filters.update import Association, Covariance, MeasurementUpdate, State, UpdateResult
 
 MAX_NIS: Final = 16.0
 """An echo within four standard deviations of a wall on a new level is taken for one of it."""
@@ -95,9 +78,8 @@ class SurfaceModel:
         self._x, self._y = self._x + distance_in * cosine, self._y + distance_in * sine
         self._heading = wrap_angle(self._heading + turn_rad)
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return two hypotheses for each reflector that may return the first echo: on the same level, on a new one.
 
         A reading that fits no reflector is refused with NO_WALL where probably no wall is detected: real buildings are
@@ -105,17 +87,17 @@ class SurfaceModel:
         the map is often only the end of what was mapped.
         """
         noise, range_parameters = self.noise, self._cone.range_parameters
-        mount = mount_at(self._cone.mounts, sonar, turret_offset_rad)
+        mount = update.mount_at(self._cone.mounts, sonar, turret_offset_rad)
         refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self._cone)
-        if refusal != NONE:
-            return Association(REFUSALS[refusal], likelihood)
+        if refusal != update.NONE:
+            return Association(update.REFUSALS[refusal], likelihood)
         expected, derivatives, variances, probabilities = [], [], [], []
         self._hypotheses, nearest_nis = [], MAX_NIS
         first = len(x) - range_parameters - LEVEL_STATES
         for candidate in candidates:
             # 1. The reading if the wall were where the map says, and its derivative but for the levels.
             variance = range_variance(noise, candidate.range_in)
-            reading, H = expected_reading(x, candidate.range_in, candidate.H, range_parameters)
+            reading, H = update.expected_reading(x, candidate.range_in, candidate.H, range_parameters)
             hypotheses = [(MAX_LEVELS, 1.0)]
             # 2. The level of the last echo, if there was one.
             if level := self._levels.get(candidate.reflector):
@@ -129,17 +111,15 @@ class SurfaceModel:
                 variances.append(variance)
                 probabilities.append(candidate.probability * probability)
                 self._hypotheses.append((candidate.reflector, number == MAX_LEVELS))
-            nis = (reading_in - reading) ** 2 / kalman_gain(P, derivatives[-1], variance)[1]
+            nis = (reading_in - reading) ** 2 / update.kalman_gain(P, derivatives[-1], variance)[1]
             nearest_nis = min(nearest_nis, nis)
         of_walls = sum(one.probability for one in candidates if one.reflector < self._walls)
-        if nearest_nis >= MAX_NIS and of_walls < OUTLIER_THRESHOLD:
-            return Association(Refusal.NO_WALL, noise.outlier_density)
-        return Association(
-            Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances), probabilities, None,
-            noise.outlier_probability, noise.outlier_density,
-        )  # fmt: skip
+        if nearest_nis >= MAX_NIS and of_walls < update.OUTLIER_THRESHOLD:
+            return Association(update.Refusal.NO_WALL, noise.outlier_density)
+        return Association(update.Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances),
+                           probabilities, None, noise.outlier_probability, noise.outlier_density)  # fmt: skip
 
-    def merge(self, x: State, P: Covariance, corrections: Sequence[Correction], beta: Sequence[float]) -> None:
+    def merge(self, x: State, P: Covariance, corrections: Sequence[update.Correction], beta: Sequence[float]) -> None:
         """Replace x and P by the mean and covariance of the mixture of all hypotheses, in place.
 
         As steps 4 and 5 of `update.pda_update`, but a hypothesis with a new level first gives it to its wall: the
@@ -159,7 +139,7 @@ class SurfaceModel:
         for (reflector, _), probability in zip(self._hypotheses, beta, strict=False):
             of_reflector[reflector] = of_reflector.get(reflector, 0.0) + probability
         best = max(of_reflector, key=of_reflector.__getitem__)
-        is_of_it, is_known = of_reflector[best] > OUTLIER_THRESHOLD, best in self._levels
+        is_of_it, is_known = of_reflector[best] > update.OUTLIER_THRESHOLD, best in self._levels
         # 2. For each hypothesis the coordinates of the filter that become those of the next state.
         sources = np.tile(np.arange(len(x)), (len(beta), 1))
         if is_known:
@@ -213,24 +193,17 @@ class SurfaceUpdate(MeasurementUpdate):
         """Take note of a step of the robot; see `SurfaceModel.move`."""
         self._surface.move(distance_in, turn_rad)
 
-    def apply(
-        self,
-        x: State,
-        P: Covariance,
-        sonar: int,
-        turret_offset_rad: float,
-        reading_in: float,
-        count: int = 1,
-        outlier_fraction: float = 1.0,  # noqa: ARG002  in buildings most echoes are outliers
-    ) -> UpdateResult:
+    def apply(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
+              outlier_fraction: float = 1.0) -> UpdateResult:  # noqa: ARG002  in buildings most echoes are outliers
         """Correct x and P in place by a reading; see `MeasurementUpdate.apply`."""
         association = self._surface.associate(x, P, sonar, turret_offset_rad, reading_in)
-        if association.refusal is not Refusal.NONE:
+        if association.refusal is not update.Refusal.NONE:
             return UpdateResult(association.refusal, 0.0, 0.0, 1.0, association.likelihood)
-        slopes = [forward_slope(H, *unit_vector(x[HEADING])) for H in association.H]
-        corrections = linear(x, P, reading_in, association, association.R)
-        beta, likelihood, best = association_probabilities(association, corrections)
+        slopes = [update.forward_slope(H, *unit_vector(x[HEADING])) for H in association.H]
+        corrections = update.linear(x, P, reading_in, association, association.R)
+        beta, likelihood, best = update.association_probabilities(association, corrections)
         if count == 1:  # the error of a repeated reading is that of the first: it adds nothing
             self._surface.merge(x, P, corrections, beta)
         _, _, innovation_in, nis, _ = corrections[best]
-        return UpdateResult(REFUSALS[gate_code(beta[-1])], innovation_in, nis, beta[-1], likelihood, slopes[best])
+        refusal = update.gate_code(beta[-1])
+        return update.result_of((refusal, innovation_in, nis, beta[-1], likelihood, slopes[best]))

@@ -98,17 +98,15 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise, constants: int =
     return Belief(add(moved[0], mean), 0.5 * (cov + cov.T))
 
 
-def predict_state(
-    x: State, P: Covariance, distance: float, turn: float, noise: OdometryNoise, constants: int = 0
-) -> None:
+def predict_state(x: State, P: Covariance, distance: float, turn: float, noise: OdometryNoise,
+                  constants: int = 0) -> None:
     """Apply `predict` to x and P in place."""
     after = predict(Belief(np.array(x), np.array(P)), np.array((distance, turn)), noise, constants)
     x[:], P[:] = after.mean.tolist(), after.cov.tolist()
 
 
-def unscented(
-    x: State, P: Covariance, reading_in: float, association: Association, variances: Sequence[float]
-) -> list[Correction]:
+def unscented(x: State, P: Covariance, reading_in: float, association: Association,
+              variances: Sequence[float]) -> list[Correction]:
     """Return the corrections of the unscented filter (see `update.Rule`)."""
     # 1. The sigma points through the range to each reflector.
     weight = weights(len(x))

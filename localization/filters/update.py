@@ -176,9 +176,8 @@ class Association(NamedTuple):
 class MeasurementModel(Protocol):
     """A kind of sonar, on a map, on a robot body."""
 
-    def associate(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
-    ) -> Association:
+    def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
+                  reading_in: float) -> Association:
         """Return what sonar number `sonar` may have measured, the turret turned by so much against the heading."""
 
 
@@ -287,9 +286,8 @@ def kalman_gain(P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number) -
     return [value / S for value in PHt], S
 
 
-def pose_gain(
-    P: Sequence[Sequence[Number]], H: Sequence[Number], R: Number
-) -> tuple[tuple[Number, Number, Number], Number]:
+def pose_gain(P: Sequence[Sequence[Number]], H: Sequence[Number],
+              R: Number) -> tuple[tuple[Number, Number, Number], Number]:
     """Return `kalman_gain` for a state that is a pose, without lists: they cost compiled code more than the numbers."""
     a, b, c = H[0], H[1], H[2]
     of_x, of_y, of_heading = P[0], P[1], P[2]
@@ -346,13 +344,8 @@ Rule = Callable[[State, Covariance, float, Association, Sequence[float]], list[C
 """Corrections for x, P, a reading in inches, its hypotheses, and the variance R of each."""
 
 
-def linear(
-    x: State,  # noqa: ARG001  a rule has it
-    P: Covariance,
-    reading_in: float,
-    association: Association,
-    variances: Sequence[float],
-) -> list[Correction]:
+def linear(x: State, P: Covariance, reading_in: float, association: Association,  # noqa: ARG001  a rule has x
+           variances: Sequence[float]) -> list[Correction]:
     """Return the corrections of the extended Kalman filter: one derivative, at x."""
     corrections = []
     for range_in, H, R in zip(association.ranges_in, association.H, variances):  # noqa: B905  for numba
@@ -363,9 +356,8 @@ def linear(
     return corrections
 
 
-def iterated(
-    x: State, P: Covariance, reading_in: float, association: Association, variances: Sequence[float]
-) -> list[Correction]:
+def iterated(x: State, P: Covariance, reading_in: float, association: Association,
+             variances: Sequence[float]) -> list[Correction]:
     """Return the corrections of the iterated extended Kalman filter: the derivative at the most likely state.
 
     Gauss-Newton from x, all hypotheses at once; a step that makes the state less likely is not taken:
@@ -444,9 +436,8 @@ class PdaResult(NamedTuple):
     best: int
 
 
-def association_probabilities(
-    association: Association, corrections: Sequence[Correction]
-) -> tuple[list[float], float, int]:
+def association_probabilities(association: Association,
+                              corrections: Sequence[Correction]) -> tuple[list[float], float, int]:
     """Return beta, likelihood and best of `PdaResult`: prior probability times likelihood, normalised.
 
     An echo of none of the reflectors is an outlier as well.
@@ -468,10 +459,8 @@ def association_probabilities(
     return beta, likelihood, best
 
 
-def pda_update(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear, count: int = 1,
-    outlier_fraction: float = 1.0,
-) -> PdaResult:  # fmt: skip
+def pda_update(x: State, P: Covariance, reading_in: float, association: Association, rule: Rule = linear,
+               count: int = 1, outlier_fraction: float = 1.0) -> PdaResult:  # fmt: skip
     """Correct x and P by a reading that is of one of k reflectors or an outlier, in place.
 
     The result is the Gaussian with the mean and covariance of the mixture of all hypotheses. With one hypothesis and no
@@ -480,7 +469,7 @@ def pda_update(
     Parameters
     ----------
     count
-        Number of this reading among those from the same pose (`CorrelatedReadings`): later ones correct by what they
+        Number of this reading among those from the same pose (`count_used`): later ones correct by what they
         add, but are associated like the first.
     outlier_fraction
         Of the last readings. While most fit, a probable outlier is of something that the map does not have and that is
@@ -555,8 +544,14 @@ OUTLIER_MEMORY: Final = 16.0
 """Readings over which it is the mean, with exponential weights: those of a round of the ring."""
 
 
+def new_used(sonars: int = MAX_SONARS, *, as_array: bool = False) -> Used:
+    """Return the rows before the first reading, as an array for compiled code."""
+    rows = [[0.0] * 4 for _ in range(sonars + 1)]
+    return np.array(rows) if as_array else rows
+
+
 def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
-    """Take note of a step of the encoders."""
+    """Take note of a step of the encoders, from which alone it follows that the robot stands."""
     so_far = used[-1]
     so_far[TRAVEL] += abs(distance_in)
     so_far[TURN] += turn_rad
@@ -588,48 +583,6 @@ def count_outlier(used: Used, outlier_probability: float) -> None:
     so_far[OUTLIERS] += (outlier_probability - so_far[OUTLIERS]) / OUTLIER_MEMORY
 
 
-class CorrelatedReadings:
-    """Count the used readings of each sonar from the pose where the robot stands, by odometry alone.
-
-    Parameters
-    ----------
-    sonars
-        Number of sonars.
-    as_array
-        Store the rows of `used` in an array, as compiled code takes them, instead of lists.
-    """
-
-    def __init__(self, sonars: int = MAX_SONARS, *, as_array: bool = False) -> None:
-        rows = [[0.0] * 4 for _ in range(sonars + 1)]
-        self.used: Used = np.array(rows) if as_array else rows
-        self._so_far: Sequence[float] | Floats = self.used[-1]
-
-    def move(self, distance_in: float, turn_rad: float) -> None:
-        """Take note of a step of the encoders."""
-        move_on(self.used, distance_in, turn_rad)
-
-    def count(self, sonar: int, turret_offset_rad: float) -> int:
-        """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
-        return count_used(self.used, sonar, turret_offset_rad)
-
-    @property
-    def outlier_fraction(self) -> float:
-        """The recent fraction of outliers among ranges."""
-        return float(self._so_far[OUTLIERS])
-
-    def count_outlier(self, outlier_probability: float) -> None:
-        """Take note of a range that was an outlier with this probability."""
-        count_outlier(self.used, outlier_probability)
-
-    def forget_outliers(self) -> None:
-        """Begin the recent fraction anew."""
-        self.used[-1][OUTLIERS] = 0.0
-
-    def record(self, sonar: int, turret_offset_rad: float) -> None:
-        """Count one more reading as used."""
-        record_used(self.used, sonar, turret_offset_rad, self.count(sonar, turret_offset_rad) + 1)
-
-
 class MeasurementUpdate:
     """The update of a belief by one reading: a measurement model and a rule of correction.
 
@@ -649,10 +602,8 @@ class MeasurementUpdate:
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step of the robot, for a model that relates echoes to earlier ones."""
 
-    def apply(
-        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
-        outlier_fraction: float = 1.0,
-    ) -> UpdateResult:  # fmt: skip
+    def apply(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1,
+              outlier_fraction: float = 1.0) -> UpdateResult:  # fmt: skip
         """Correct x and P in place by a reading, the `count`-th one used from this pose.
 
         Parameters
@@ -676,19 +627,16 @@ class MeasurementUpdate:
         outcome = update_by_association(x, P, reading_in, association, self._rule, count, outlier_fraction)
         return result_of(outcome)
 
-    def updated(
-        self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, count: int = 1
-    ) -> tuple[Belief, UpdateResult]:
+    def updated(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float,
+                count: int = 1) -> tuple[Belief, UpdateResult]:
         """Return the belief after `apply`, and its result."""
         x, P = unpack(belief)
         outcome = self.apply(x, P, sonar, turret_offset_rad, reading_in, count)
         return pack(x, P), outcome
 
 
-def update_by_association(
-    x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
-    outlier_fraction: float = 1.0,
-) -> Outcome:  # fmt: skip
+def update_by_association(x: State, P: Covariance, reading_in: float, association: Association, rule: Rule, count: int,
+                          outlier_fraction: float = 1.0) -> Outcome:  # fmt: skip
     """Correct x and P by a reading and its hypotheses, in place."""
     c, s = unit_vector(x[HEADING])
     beta, likelihood, innovation_in, nis, best = pda_update(

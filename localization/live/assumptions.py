@@ -172,9 +172,8 @@ FAR_IN: Final = 240.0
 """Beyond this range, nothing and an echo are the same."""
 
 
-def decide_by_readings(
-    sonars: SonarAssumption, belief: Belief | None, state: SensorInput, walls: npt.ArrayLike, body: Body
-) -> SonarAssumption:
+def decide_by_readings(sonars: SonarAssumption, belief: Belief | None, state: SensorInput, walls: npt.ArrayLike,
+                       body: Body) -> SonarAssumption:
     """Return the sonar model that the readings of a standing robot fit; unchanged where it is not guessed to be rays.
 
     Exact rays always return the distance to the wall ahead of a sonar; a ring with cones returns the nearest part of a

@@ -73,10 +73,8 @@ class BackgroundSearch:
         Folder of stored tables. Default: `cache_folder`.
     """
 
-    def __init__(
-        self, config: LocalizationConfig, *, waits: bool, report: Callable[[str], None] = lambda _: None,
-        folder: Path | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: LocalizationConfig, *, waits: bool, report: Callable[[str], None] = lambda _: None,
+                 folder: Path | None = None) -> None:  # fmt: skip
         self._config, self._waits, self._report, self._folder = config, waits, report, folder or cache_folder()
         self._densities = range_table.reading_densities(
             *range_table.sampled_echoes(config.walls, config.body, config.sonar, config.clearance_in, SAMPLED_PLACES)
@@ -162,18 +160,14 @@ _STORED: Final = ("origin_in", "number", "codes", "is_known")
 """Arrays of a table."""
 
 
-def cached_search(
-    config: LocalizationConfig, folder: Path | None = None, progress: Callable[[float], None] = lambda _: None
-) -> TableSearch:
+def cached_search(config: LocalizationConfig, folder: Path | None = None,
+                  progress: Callable[[float], None] = lambda _: None) -> TableSearch:
     """Return a search in this process whose table comes from the cache on disk."""
     folder = folder or cache_folder()
     path = table_path(config, folder)
-    return TableSearch(
-        lambda: load_or_build(config, folder, progress),
-        update_for(config.walls, config.body, config.sonar, config.gate),
-        config.odometry,
-        lambda table: store(table, path),
-    )
+    return TableSearch(lambda: load_or_build(config, folder, progress),
+                       update_for(config.walls, config.body, config.sonar, config.gate), config.odometry,
+                       lambda table: store(table, path))
 
 
 @contextmanager

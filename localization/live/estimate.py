@@ -145,10 +145,8 @@ def map_signature(world: World, body: str) -> MapSignature:
     return MapSignature(world.name, sha256(repr(walls).encode()).hexdigest()[:16], body)
 
 
-def resume_belief(
-    saved: SavedEstimate, signature: MapSignature, now: EncoderPose, noise: OdometryNoise,
-    displacement_std: DisplacementStd | None = None,
-) -> Belief:  # fmt: skip
+def resume_belief(saved: SavedEstimate, signature: MapSignature, now: EncoderPose, noise: OdometryNoise,
+                  displacement_std: DisplacementStd | None = None) -> Belief:  # fmt: skip
     """Return the belief of a robot after a pause.
 
     Parameters

@@ -46,10 +46,8 @@ class Localizer:
         For filters that draw samples.
     """
 
-    def __init__(
-        self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
-        method: str | Filter = DEFAULT_METHOD, seed: int = 0,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: LocalizationConfig, belief: Belief, schedule: sensor_input.FiringSchedule,
+                 method: str | Filter = DEFAULT_METHOD, seed: int = 0) -> None:  # fmt: skip
         with show_seconds("preparing the filter; numba compiles it once on a machine"):
             self._filter = make(method, config, belief, seed) if isinstance(method, str) else method
         self._schedule, self._calibration, self.ring = schedule, config.calibration, config.body.ring
@@ -99,14 +97,11 @@ class Localizer:
             self._last_echo_s = new[-1][0]
         self._instants.extend([instant_s for instant_s, _, _ in new])
         # 3. What else the filter reports.
-        echoes = tuple(
-            [
-                Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
-                for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
-            ]
-        )
+        echoes = tuple([
+            Echo(sonar, instant_s, sonars_in[sonar], REFUSALS[code], innovation_in, nis, outlier)
+            for (instant_s, sonar, _), (code, innovation_in, nis, outlier, _, _) in zip(new, outcomes, strict=True)
+        ])
         past, filter_ = self._filter.smoothed(), self._filter
         smoothed = Smoothed(self._instants[0], past) if past else None
-        return Estimate(
-            latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places, filter_.informative_turn_rad
-        )
+        return Estimate(latest.clock_s, belief, echoes, filter_.health, smoothed, filter_.places,
+                        filter_.informative_turn_rad)

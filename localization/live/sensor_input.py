@@ -437,11 +437,9 @@ def _rows_of_drive(file: Path) -> list[LogRow]:
     except RecordingError as error:
         raise LogFileError(str(error)) from None
     rows = [
-        LogRow(
-            sample.time_s, (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, sample.heading_rad),
-            sample.heading_rad if sample.turret_rad is None else sample.turret_rad,
-            tuple(range_m / M_PER_IN for range_m in sample.ranges_m),
-        )
+        LogRow(sample.time_s, (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, sample.heading_rad),
+               sample.heading_rad if sample.turret_rad is None else sample.turret_rad,
+               tuple(range_m / M_PER_IN for range_m in sample.ranges_m))
         for sample in drive.samples if sample.ranges_m
     ]  # fmt: skip
     return _checked(rows, file)

@@ -101,11 +101,8 @@ class AxisLimits:
 
     def capped(self, translation_in_s: float, steering_rad_s: float = inf) -> AxisLimits:
         """Return these limits with lower top speeds."""
-        return replace(
-            self,
-            translation_in_s=min(self.translation_in_s, translation_in_s),
-            steering_rad_s=min(self.steering_rad_s, steering_rad_s),
-        )
+        return replace(self, translation_in_s=min(self.translation_in_s, translation_in_s),
+                       steering_rad_s=min(self.steering_rad_s, steering_rad_s))
 
 
 _SYNCHRO_DRIVE: Final = AxisLimits(20.0, 30.0, radians(45.0), radians(50.0))
@@ -270,16 +267,13 @@ def bearing_error(pose: Floats, goal: Floats) -> Floats:
     return wrap_angle(direction - pose[..., HEADING])
 
 
-def step_to(
-    x: Number, y: Number, heading: Number, goal_x: Number, goal_y: Number, gains: ControlGains
-) -> tuple[Number, Number]:
+def step_to(x: Number, y: Number, heading: Number, goal_x: Number, goal_y: Number,
+            gains: ControlGains) -> tuple[Number, Number]:
     """Return drho and dtheta of `next_step`."""
     distance = hypot(goal_x - x, goal_y - y)
     delta = wrap_angle(atan2(goal_y - y, goal_x - x) - heading)
-    return (
-        clip(gains.alpha_rho * distance, 0.0, gains.drho_max_in),
-        clip(gains.alpha_theta * delta, -gains.dtheta_max_rad, gains.dtheta_max_rad),
-    )
+    return (clip(gains.alpha_rho * distance, 0.0, gains.drho_max_in),
+            clip(gains.alpha_theta * delta, -gains.dtheta_max_rad, gains.dtheta_max_rad))
 
 
 def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
@@ -306,9 +300,8 @@ def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
     return np.stack(np.broadcast_arrays(*step_to(x, y, heading, goal[..., 0], goal[..., 1], gains)), axis=-1)
 
 
-def slow_for_turn(
-    drho: Number, x: Number, y: Number, heading: Number, goal_x: Number, goal_y: Number, gains: ControlGains
-) -> Number:
+def slow_for_turn(drho: Number, x: Number, y: Number, heading: Number, goal_x: Number, goal_y: Number,
+                  gains: ControlGains) -> Number:
     """Return the length of a step towards a goal, shortened until the robot's turning circle reaches the goal.
 
     A goal inside the smallest circle of `next_step` is never reached: the robot drives around it, up to two radii

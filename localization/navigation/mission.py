@@ -34,21 +34,10 @@ from typing import Any, Final, NamedTuple
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.health import HealthStatus
 from localization.live.sensor_input import Pose
-from localization.navigation import path
+from localization.navigation import path, pilot
 from localization.navigation.control_law import STAND, RecoveryBehavior, VelocityCommand
 from localization.navigation.obstacles import position_std_in
-from localization.navigation.pilot import (
-    Ending,
-    Observation,
-    OnLost,
-    Pilot,
-    Point,
-    RetryPolicy,
-    RobotController,
-    Settings,
-    check_arguments,
-    read_points,
-)
+from localization.navigation.pilot import Ending, Observation, OnLost, Pilot, Point, RobotController, Settings
 from localization.navigation.waypoints import PERIOD_S
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError
@@ -278,19 +267,17 @@ class Mission:
         """Current estimate and readings, without asking the robot."""
         estimate, state = self._controller.last
         x, y, heading = (float(value) for value in estimate.pose)
-        return Seen(
-            self._controller.clock_s - self._began_s, x, y, degrees(heading), position_std_in(estimate),
-            estimate.health.status.value, state.sonars_in, state.touching, state.bumpers,
-            len(self._controller.obstacles.confirmed),
-        )  # fmt: skip
+        return Seen(self._controller.clock_s - self._began_s, x, y, degrees(heading), position_std_in(estimate),
+                    estimate.health.status.value, state.sonars_in, state.touching, state.bumpers,
+                    len(self._controller.obstacles.confirmed))  # fmt: skip
 
     # steps
 
     def go_to(self, x_in: float, y_in: float, heading_deg: float | None = None, *, limit_s: float = inf,
               retries: int = 0, within_in: float = 1.0) -> Seen:  # fmt: skip
         """Drive to a point by the shortest path, and turn to the heading if one is given."""
-        check_arguments("go_to", x_in=x_in, y_in=y_in, heading_deg=heading_deg, within_in=within_in, limit_s=limit_s,
-                        retries=retries)  # fmt: skip
+        pilot.check_arguments("go_to", x_in=x_in, y_in=y_in, heading_deg=heading_deg, within_in=within_in,
+                              limit_s=limit_s, retries=retries)  # fmt: skip
         words = f"({x_in:g}, {y_in:g})" + ("" if heading_deg is None else f" {heading_deg:g} deg")
         heading = None if heading_deg is None else radians(heading_deg)
         return self._run_step("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
@@ -298,15 +285,15 @@ class Mission:
     def follow(self, points_in: Sequence[Point], *, limit_s: float = inf, retries: int = 0,
                within_in: float = 1.0) -> Seen:  # fmt: skip
         """Drive along straight lines between points, passing all but the last, where the robot stops."""
-        goals = read_points("follow", points_in)
-        check_arguments("follow", within_in=within_in, limit_s=limit_s, retries=retries)
+        goals = pilot.read_points("follow", points_in)
+        pilot.check_arguments("follow", within_in=within_in, limit_s=limit_s, retries=retries)
         drive = partial(self._drive, goals, None, within_in)
         return self._run_step("follow", _format_points(goals), drive, limit_s, retries)
 
     def turn(self, heading_deg: float | None = None, *, by_deg: float | None = None, limit_s: float = inf,
              retries: int = 0) -> Seen:  # fmt: skip
         """Turn in place: to a heading by the smaller turn, or by an angle, counter-clockwise positive."""
-        check_arguments("turn", heading_deg=heading_deg, by_deg=by_deg, limit_s=limit_s, retries=retries)
+        pilot.check_arguments("turn", heading_deg=heading_deg, by_deg=by_deg, limit_s=limit_s, retries=retries)
         if (heading_deg is None) == (by_deg is None):
             raise MissionFileError("turn: expected heading_deg or by_deg, one of them")
         remaining: Callable[[float], float]
@@ -319,18 +306,18 @@ class Mission:
 
     def look(self, seconds: float = RING_S) -> Seen:
         """Stand for a time and return the readings."""
-        check_arguments("look", seconds=seconds)
+        pilot.check_arguments("look", seconds=seconds)
         return self._run_step("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
 
     def wait_for(self, condition: Condition, limit_s: float, words: str = "a condition") -> Seen:
         """Stand until the condition holds. Raises StepFailed if it does not within the limit."""
-        check_arguments("wait_for", condition=condition, limit_s=limit_s, words=words)
+        pilot.check_arguments("wait_for", condition=condition, limit_s=limit_s, words=words)
         return self._run_step("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
 
     def patrol(self, points_in: Sequence[Point], rounds: int = 1, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Drive to each of the points by the shortest paths, `rounds` times; each point is a step of its own."""
-        goals = read_points("patrol", points_in)
-        check_arguments("patrol", rounds=rounds, limit_s=limit_s, retries=retries)
+        goals = pilot.read_points("patrol", points_in)
+        pilot.check_arguments("patrol", rounds=rounds, limit_s=limit_s, retries=retries)
         for number in range(rounds):
             for point in goals:
                 words = f"({point[0]:g}, {point[1]:g}), round {number + 1} of {rounds}"
@@ -339,7 +326,7 @@ class Mission:
 
     def dock(self, x_in: float, y_in: float, heading_deg: float, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Drive to a point before the dock, turn to it, and drive in slowly until the dock or a contact."""
-        check_arguments("dock", x_in=x_in, y_in=y_in, heading_deg=heading_deg, limit_s=limit_s, retries=retries)
+        pilot.check_arguments("dock", x_in=x_in, y_in=y_in, heading_deg=heading_deg, limit_s=limit_s, retries=retries)
         words = f"({x_in:g}, {y_in:g}) {heading_deg:g} deg"
         return self._run_step("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
 
@@ -402,37 +389,34 @@ class Mission:
         while True:
             # 1. Plan and drive with the remaining goals.
             controller = self._controller
-            pilot = Pilot(
-                controller.planner, controller.limits, controller.obstacles, remaining, heading_rad,
-                RetryPolicy(within_in),
-            )  # fmt: skip
-            self._run_pilot(pilot)
-            assert pilot.result is not None
+            driver = Pilot(controller.planner, controller.limits, controller.obstacles, remaining, heading_rad,
+                           pilot.RetryPolicy(within_in))  # fmt: skip
+            ending, reason = self._run_pilot(driver)
             self._halt()
             # 2. Arrived, failed, or lost: only the last one is recovered from.
-            if pilot.result.ending is Ending.ARRIVED:
+            if ending is Ending.ARRIVED:
                 return
-            if pilot.result.ending is not Ending.LOST:
-                raise StepFailed(pilot.result.ending.value, pilot.result.reason)
-            self._recover(pilot.result.reason)
-            remaining = pilot.remaining_goals
+            if ending is not Ending.LOST:
+                raise StepFailed(ending.value, reason)
+            self._recover(reason)
+            remaining = driver.remaining_goals
 
-    def _run_pilot(self, pilot: Pilot) -> None:
-        """Run a pilot to its result and copy its log into the report."""
+    def _run_pilot(self, driver: Pilot) -> pilot.PilotResult:
+        """Run a pilot to its result, and copy its log into the report."""
         try:
             while True:
-                command = pilot.step(*self._controller.last)
-                if pilot.result:
-                    return
+                command = driver.step(*self._controller.last)
+                if driver.result:
+                    return driver.result
                 self._controller.period(command)
         finally:
             if self._step:
                 # The first plan's length is reported; counts add up over attempts.
-                if not self._step.plans and pilot.log.plans:
-                    self._step.planned_in = pilot.log.plans[0].length_in
-                self._step.plans += len(pilot.log.plans)
-                self._step.touches += len(pilot.log.touches)
-                self._step.notes += [(at - self._began_s, words) for at, words in pilot.log.notes]
+                if not self._step.plans and driver.log.plans:
+                    self._step.planned_in = driver.log.plans[0].length_in
+                self._step.plans += len(driver.log.plans)
+                self._step.touches += len(driver.log.touches)
+                self._step.notes += [(at - self._began_s, words) for at, words in driver.log.notes]
 
     @property
     def _heading_rad(self) -> float:

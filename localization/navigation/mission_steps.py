@@ -47,14 +47,12 @@ from nclient.errors import MissionFileError, NomadError, WorldFileError
 from worlds.io import load_world
 from worlds.schema import MAX_COORDINATE_IN, Angle, Outline, PointInUnits, Points, Table, require_outline, table
 
-CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType(
-    {
-        "nearer_than_in": lambda value: lambda seen: seen.nearest_in < value,
-        "farther_than_in": lambda value: lambda seen: seen.nearest_in > value,
-        "known_to_in": lambda value: lambda seen: seen.std_in <= value,
-        "finds": lambda value: lambda seen: seen.finds >= value,
-    }
-)
+CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType({
+    "nearer_than_in": lambda value: lambda seen: seen.nearest_in < value,
+    "farther_than_in": lambda value: lambda seen: seen.nearest_in > value,
+    "known_to_in": lambda value: lambda seen: seen.std_in <= value,
+    "finds": lambda value: lambda seen: seen.finds >= value,
+})
 """Conditions of `wait_for` by key: shortest reading of the ring below or above a value, standard deviation of the
 position, number of obstacles that are not in the map. `touching = true` is one more."""
 Threshold = Annotated[float, Meta(ge=0.0, le=MAX_COORDINATE_IN)]
@@ -237,7 +235,12 @@ def parse_program(text: str, file: str) -> MissionSpec:
 
     def run(robot: Mission) -> None:
         try:
-            _require_no_coroutine(act(robot), file)
+            result = act(robot)
+            # Nothing of a coroutine that is returned without awaiting it was done.
+            if inspect.iscoroutine(result):
+                result.close()
+                expected = "expected mission(robot) to be done when it returns"
+                raise MissionFileError(f"{file}: {expected}, found a coroutine")
         except MissionFileError as error:
             raise MissionFileError(_with_program_line(error, file)) from error
         except (NomadError, TerminatedBySignal):
@@ -272,13 +275,6 @@ _REJECTED_KINDS: dict[str, Callable[[object], bool]] = {
     "an asynchronous generator": inspect.isasyncgenfunction,
     "a generator: it has a yield": inspect.isgeneratorfunction,
 }
-
-
-def _require_no_coroutine(result: object, file: str) -> None:
-    """Reject a coroutine returned without awaiting it: nothing of it was done."""
-    if inspect.iscoroutine(result):
-        result.close()
-        raise MissionFileError(f"{file}: expected mission(robot) to be done when it returns, found a coroutine")
 
 
 def _with_program_line(error: BaseException, file: str) -> str:

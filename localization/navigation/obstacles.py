@@ -124,9 +124,8 @@ class ObstacleTracker:
         near[near] = ranges < self._map_ranges(position, directions_rad[near]) - tolerance
         return near
 
-    def add_reading(
-        self, clock_s: float, position: Point, direction_rad: float, reading_in: float, std_in: float
-    ) -> None:
+    def add_reading(self, clock_s: float, position: Point, direction_rad: float, reading_in: float,
+                    std_in: float) -> None:
         """Process one reading of a sonar that looks in this direction of the map."""
         self._decay(clock_s)
         if reading_in < MIN_RANGE_IN or std_in > MAX_STD_IN:
@@ -134,9 +133,8 @@ class ObstacleTracker:
         range_in = reading_in + self._ring_in
         self._weaken_passed(position, direction_rad, range_in)
         if self.find_unmapped(position, np.array([direction_rad]), np.array([reading_in]), std_in)[0]:
-            self._add(
-                position[0] + range_in * cos(direction_rad), position[1] + range_in * sin(direction_rad), direction_rad
-            )
+            self._add(position[0] + range_in * cos(direction_rad), position[1] + range_in * sin(direction_rad),
+                      direction_rad)
 
     def add_contact(self, clock_s: float, position: Point, direction_rad: float, body_in: float) -> None:
         """Add an obstacle detected by a bumper of a robot of radius `body_in` that drove in this direction."""
@@ -202,10 +200,8 @@ class ObstacleTracker:
         obstacle.is_confirmed = obstacle.is_confirmed or obstacle.weight >= CONFIRM_WEIGHT
 
 
-def filter_unmapped(
-    obstacles: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float],
-    shortest_in: float = int(MIN_RANGE_IN),
-) -> SensorInput:  # fmt: skip
+def filter_unmapped(obstacles: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float],
+                    shortest_in: float = int(MIN_RANGE_IN)) -> SensorInput:  # fmt: skip
     """Return the state for the filter, with readings from unmapped obstacles replaced by the shortest range.
 
     The filter ignores readings at the shortest range. If more than MAX_FILTERED readings are too short the estimate
@@ -232,9 +228,8 @@ def filter_unmapped(
     if estimate.health.status is not HealthStatus.LOST:
         x, y, heading = (float(value) for value in estimate.pose)
         directions = heading + state.turret_rad - state.steering_rad + np.asarray(angles_rad)
-        near = obstacles.find_unmapped(
-            (x, y), directions, np.array(readings, dtype=np.float64), position_std_in(estimate)
-        )
+        near = obstacles.find_unmapped((x, y), directions, np.array(readings, dtype=np.float64),
+                                       position_std_in(estimate))
         if sum(near) <= MAX_FILTERED:
             readings = tuple(
                 shortest_in if is_unmapped else reading
@@ -243,9 +238,8 @@ def filter_unmapped(
     return with_readings(state, readings)
 
 
-def update_obstacles(
-    obstacles: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]
-) -> None:
+def update_obstacles(obstacles: ObstacleTracker, estimate: Estimate, state: RobotState,
+                     angles_rad: Sequence[float]) -> None:
     """Add an estimate's echoes to the obstacles.
 
     Each echo was measured up to 0.2 s before the estimate: the motion since then is subtracted, at the velocities of

@@ -82,9 +82,8 @@ class PathElement(NamedTuple):
         half = 0.5 * turn
         chord = along_in * sin(half) / half if half else along_in
         middle = self.heading_rad + half
-        return PathPoint(
-            self.x_in + chord * cos(middle), self.y_in + chord * sin(middle), self.heading_rad + turn, self.curvature
-        )
+        return PathPoint(self.x_in + chord * cos(middle), self.y_in + chord * sin(middle), self.heading_rad + turn,
+                         self.curvature)
 
     def nearest(self, x_in: float, y_in: float) -> float:
         """Return the arc length of the point nearest to (x_in, y_in)."""
@@ -158,11 +157,8 @@ def split_into_sections(elements: Sequence[PathElement]) -> tuple[PathSection, .
     for element in elements:
         if element.length_in <= MIN_LENGTH_IN:
             continue
-        before = groups[-1][-1] if groups else None
-        if (
-            before
-            and abs(angle_difference(before.at(before.length_in).heading_rad, element.heading_rad)) <= CONTINUES_RAD
-        ):
+        last = groups[-1][-1] if groups else None
+        if last and abs(angle_difference(last.at(last.length_in).heading_rad, element.heading_rad)) <= CONTINUES_RAD:
             groups[-1].append(element)
         else:
             groups.append([element])
@@ -228,8 +224,12 @@ class SpeedProfile:
     def __init__(self, section: PathSection, limits: AxisLimits) -> None:
         count = max(3, ceil(section.length_in / STEP_IN) + 1)
         self._along = np.linspace(0.0, section.length_in, count)
-        # 1. Limit the speed at each point by the curvature there.
-        speeds = self._curvature_limits(section, limits)
+        # 1. Limit the speed at each point by the curvature of all elements that meet there.
+        highest = np.full(count, limits.translation_in_s)
+        for element, start in zip(section.elements, section.starts_in, strict=False):
+            inside = (self._along >= start - STEP_IN) & (self._along <= start + element.length_in + STEP_IN)
+            highest[inside] = np.minimum(highest[inside], max_arc_speed_in_s(element.curvature, limits))
+        speeds = highest.tolist()
         # 2. Limit the acceleration forwards, then the deceleration backwards: v^2 grows by at most 2 a ds per step.
         gain = 2.0 * PLANNED_ACCELERATION * limits.translation_in_s2 * float(self._along[1])
         speeds[0] = speeds[-1] = 0.0
@@ -243,14 +243,6 @@ class SpeedProfile:
         step = float(self._along[1])
         self.duration_s = sum(2.0 * step / (one + other) for one, other in pairwise(speeds))
 
-    def _curvature_limits(self, section: PathSection, limits: AxisLimits) -> list[float]:
-        """Return the highest speed at each point, considering all elements that meet there."""
-        highest = np.full(len(self._along), limits.translation_in_s)
-        for element, start in zip(section.elements, section.starts_in, strict=False):
-            inside = (self._along >= start - STEP_IN) & (self._along <= start + element.length_in + STEP_IN)
-            highest[inside] = np.minimum(highest[inside], max_arc_speed_in_s(element.curvature, limits))
-        return highest.tolist()
-
     def speed_in_s(self, along_in: float) -> float:
         """Return the speed to command at an arc length, CREEP_IN_S at least.
 
@@ -261,9 +253,8 @@ class SpeedProfile:
         return max(CREEP_IN_S, min(self._limits.translation_in_s, ahead, approach))
 
 
-def round_corners(
-    points: Sequence[tuple[float, float]], within_in: float, limits: AxisLimits, walls: Floats, radius_in: float
-) -> list[PathElement]:
+def round_corners(points: Sequence[tuple[float, float]], within_in: float, limits: AxisLimits, walls: Floats,
+                  radius_in: float) -> list[PathElement]:
     """Return a polyline with its corners rounded where that is faster.
 
     An arc that touches both sides of a corner of turn b at the distance d from it has the radius d / tan(b / 2) and
@@ -299,9 +290,8 @@ def round_corners(
     return elements
 
 
-def _corner_arc(
-    one: PathElement, other: PathElement, within_in: float, limits: AxisLimits
-) -> tuple[PathElement, float] | None:
+def _corner_arc(one: PathElement, other: PathElement, within_in: float,
+                limits: AxisLimits) -> tuple[PathElement, float] | None:
     """Return the arc for a corner and the length it cuts off either side; None if stopping is faster."""
     turn = angle_difference(one.heading_rad, other.heading_rad)
     if not _MIN_CORNER_RAD < abs(turn) < _MAX_CORNER_RAD:
@@ -383,10 +373,8 @@ class PathFollower:
         while not self.finished:
             section = self._path[self._number]
             # 1. Find the position on the path near the previous one.
-            self._along_in = section.nearest(
-                float(pose[0]), float(pose[1]), max(0.0, self._along_in - SEARCH_BACK_IN),
-                self._along_in + SEARCH_AHEAD_IN,
-            )  # fmt: skip
+            self._along_in = section.nearest(float(pose[0]), float(pose[1]), max(0.0, self._along_in - SEARCH_BACK_IN),
+                                             self._along_in + SEARCH_AHEAD_IN)  # fmt: skip
             point = section.at(self._along_in)
             heading_error = angle_difference(point.heading_rad, float(pose[2]))
             # 2. At the end of a section go on with the next one.
@@ -417,9 +405,8 @@ class PathFollower:
             first_in = 0.0
         return points[:limit]
 
-    def _drive(
-        self, section: PathSection, point: PathPoint, pose: Floats, heading_error: float, fraction: float
-    ) -> VelocityCommand:
+    def _drive(self, section: PathSection, point: PathPoint, pose: Floats, heading_error: float,
+               fraction: float) -> VelocityCommand:
         # 1. Lateral error; before the start and beyond the end of the section the full distance counts.
         dx, dy = float(pose[0]) - point.x_in, float(pose[1]) - point.y_in
         self.lateral_error_in = dy * cos(point.heading_rad) - dx * sin(point.heading_rad)
@@ -428,15 +415,13 @@ class PathFollower:
         # 2. Speed of the profile, reduced while the heading is off.
         speed = fraction * self._profiles[self._number].speed_in_s(self._along_in) * max(0.0, cos(heading_error))
         # 3. Steering law.
-        curvature = section.at(self._along_in + self._lead_s(section, point, speed) * speed).curvature
+        #    It steers for the curvature ahead: by one period and half of the steering's ramp into or out of an arc.
+        ahead = section.at(self._along_in + LOOKAHEAD_S * speed).curvature
+        lead_s = DELAY_S + 0.5 * speed * max(abs(point.curvature), abs(ahead)) / self._limits.steering_rad_s2
+        curvature = section.at(self._along_in + lead_s * speed).curvature
         steering = speed * (curvature - self.lateral_error_in / DAMPING_IN**2 - 2.0 * heading_error / DAMPING_IN)
         limit = self._limits.steering_rad_s
         return VelocityCommand(speed, min(limit, max(-limit, steering)))
-
-    def _lead_s(self, section: PathSection, point: PathPoint, speed: float) -> float:
-        """Return how far ahead (s) to steer for: one period plus half of the steering's ramp into or out of an arc."""
-        ahead = section.at(self._along_in + LOOKAHEAD_S * speed).curvature
-        return DELAY_S + 0.5 * speed * max(abs(point.curvature), abs(ahead)) / self._limits.steering_rad_s2
 
 
 def turn_command(angle_rad: float, limits: AxisLimits) -> VelocityCommand:

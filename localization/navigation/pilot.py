@@ -203,10 +203,9 @@ class RobotController:
         Top speed.
     """
 
-    def __init__(
-        self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
-        method: str | Filter = DEFAULT_METHOD, speed_in_s: float = waypoints.Speeds().translation_in_s,
-    ) -> None:  # fmt: skip
+    def __init__(self, robot: Robot, config: LocalizationConfig, body: Body, belief: Belief, wait: Wait,
+                 method: str | Filter = DEFAULT_METHOD,
+                 speed_in_s: float = waypoints.Speeds().translation_in_s) -> None:  # fmt: skip
         walls = np.asarray(config.walls, dtype=np.float64)
         self.robot, self.body, self._wait = robot, body, wait
         self.limits = control_law.MODEL_LIMITS[body.name].capped(speed_in_s, waypoints.Speeds().steering_rad_s)
@@ -224,9 +223,8 @@ class RobotController:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
         with contextlib.suppress(*(() if error is None else (NomadError,))):
             self.robot.stop()
 
@@ -253,14 +251,13 @@ class RobotController:
         before = self.last.state
         after, fraction = before, self._gap_limiter.speed_fraction(self.clock_s)
         with contextlib.suppress(BumperHit):
-            after = waypoints.drive_unless_held(
-                self.robot,
-                translation_in_s=fraction * command.translation_in_s,
-                steering_rad_s=fraction * command.steering_rad_s,
-            )
+            after = waypoints.drive_unless_held(self.robot, translation_in_s=fraction * command.translation_in_s,
+                                                steering_rad_s=fraction * command.steering_rad_s)
         # 2. Estimate.
         self.last = self._observe(waypoints.wait_for_next_state(self.robot, before, after, self._wait))
-        if command == STAND or self.last.state.touching or _has_moved(before, self.last.state):
+        state = self.last.state
+        has_moved = (state.x_in, state.y_in, state.steering_rad) != (before.x_in, before.y_in, before.steering_rad)
+        if command == STAND or state.touching or has_moved:
             self._moved_s = self.clock_s
         # 3. Notify.
         for observer in self.observers:
@@ -274,10 +271,6 @@ class RobotController:
         estimate = self._localizer.update(seen)
         update_obstacles(self.obstacles, estimate, state, angles)
         return Observation(estimate, state)
-
-
-def _has_moved(before: RobotState, after: RobotState) -> bool:
-    return (before.x_in, before.y_in, before.steering_rad) != (after.x_in, after.y_in, after.steering_rad)
 
 
 class ProgressPublisher:
@@ -383,10 +376,8 @@ class Pilot:
     policy : RetryPolicy, optional
     """
 
-    def __init__(
-        self, planner: Planner, limits: control_law.AxisLimits, obstacles: ObstacleTracker, goals: Sequence[Point],
-        heading_rad: float | None = None, policy: RetryPolicy | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, planner: Planner, limits: control_law.AxisLimits, obstacles: ObstacleTracker,
+                 goals: Sequence[Point], heading_rad: float | None = None, policy: RetryPolicy | None = None) -> None:
         self._planner, self._limits, self._obstacles = planner, limits, obstacles
         self._goals, self._heading_rad = list(goals), heading_rad
         self.policy = policy or RetryPolicy()
@@ -425,8 +416,9 @@ class Pilot:
             return command or STAND
         if state.touching:
             return self._start_back_off(estimate, state)
-        # 2. Plan if there is no valid path.
-        self._drop_passed_goals(estimate.pose)
+        # 2. Plan to the goals that are not passed yet if there is no valid path.
+        while len(self._goals) > 1 and hypot(*(estimate.pose[:2] - self._goals[0])) <= self.policy.within_in:
+            del self._goals[0]
         if self._follower is None or self._needs_plan(self._follower, estimate.clock_s):
             planned = self._plan(estimate)
             if planned is None:
@@ -438,10 +430,6 @@ class Pilot:
         return self._drive(self._follower, estimate)
 
     # planning
-
-    def _drop_passed_goals(self, pose: Floats) -> None:
-        while len(self._goals) > 1 and hypot(*(pose[:2] - self._goals[0])) <= self.policy.within_in:
-            del self._goals[0]
 
     def _needs_plan(self, follower: PathFollower, now_s: float) -> bool:
         """Return True if the robot is far beside its path, or obstacles stand on the rest of it."""
@@ -522,8 +510,10 @@ class Pilot:
     def _drive(self, follower: PathFollower, estimate: Estimate) -> VelocityCommand:
         """Follow the path as fast as the estimate and the obstacles allow."""
         command = follower.command(estimate.pose)
-        ahead = follower.ahead(self._stopping_distance_in(command))
-        if ahead is None or not command.translation_in_s:
+        speed = command.translation_in_s
+        # As far ahead as the robot needs to stop, with a reserve for delays.
+        ahead = follower.ahead(1.0 + 0.3 * speed + speed * speed / self._limits.translation_in_s2)
+        if ahead is None or not speed:
             return command
         cov = estimate.belief.cov[:3, :3]
         fraction = allowed_speed_fraction(estimate.pose, ahead, cov, self._planner.walls, self._planner.body_in)
@@ -550,18 +540,10 @@ class Pilot:
 
     def _beside_fraction(self, estimate: Estimate, command: VelocityCommand) -> float:
         """Return the speed fraction beside confirmed obstacles, whose extent is unknown."""
-        obstacles = self._obstacles.confirmed
-        if (
-            not len(obstacles)
-            or wall_distances(estimate.pose[None, :2], obstacles)[0] > self._planner.body_in + BESIDE_IN
-        ):
-            return 1.0
-        return min(1.0, BESIDE_IN_S / command.translation_in_s)
-
-    def _stopping_distance_in(self, command: VelocityCommand) -> float:
-        """Return the distance that the robot needs to stop, with a reserve for delays."""
-        speed = command.translation_in_s
-        return 1.0 + 0.3 * speed + speed * speed / self._limits.translation_in_s2
+        # Infinite without obstacles.
+        distance_in = wall_distances(estimate.pose[None, :2], self._obstacles.confirmed)[0]
+        is_beside = distance_in <= self._planner.body_in + BESIDE_IN
+        return min(1.0, BESIDE_IN_S / command.translation_in_s) if is_beside else 1.0
 
     def _wait_for_estimate(self, estimate: Estimate, ahead: Floats) -> VelocityCommand:
         """Stand until the estimate improves; then plan with a larger margin, and give up if there is none."""
@@ -589,14 +571,12 @@ class Pilot:
         self.log.touches.append((x, y))
         self.log.notes.append((estimate.clock_s, f"touched something at ({x:.1f}, {y:.1f})"))
         if len(self.log.touches) >= self.policy.max_touches:
-            return self._end(
-                Ending.TOUCHED, f"touched something {len(self.log.touches)} times, last at ({x:.1f}, {y:.1f})"
-            )
+            return self._end(Ending.TOUCHED,
+                             f"touched something {len(self.log.touches)} times, last at ({x:.1f}, {y:.1f})")
         policy = self.policy
         velocity = -policy.back_off_in_s if is_forward else policy.back_off_in_s
-        self._back_off = control_law.BackOff(
-            velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s, policy.back_off_in
-        )
+        self._back_off = control_law.BackOff(velocity, (state.x_in, state.y_in), estimate.clock_s + policy.back_off_s,
+                                             policy.back_off_in)
         return STAND
 
     def _end(self, ending: Ending, reason: str) -> VelocityCommand:

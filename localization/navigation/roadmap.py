@@ -26,12 +26,12 @@ Liu, Arimoto: Path planning using a tangent graph for mobile robots among polygo
 
 import heapq
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from math import acos, atan2, hypot, inf, pi, tau
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,8 @@ from localization.navigation.path import (
     wall_distances,
 )
 from nclient.errors import NomadError
-from worlds.geometry import expand, nearest_points, nearest_points_of_pairs
+from worlds.geometry import crosses, expand, nearest_points, nearest_points_of_pairs
+from worlds.geometry import crossings as crossings  # localization.mapping.explore imports it from here
 
 START, GOAL = 0, 1
 ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
@@ -95,42 +96,26 @@ def segment_clearances(segments: Floats, walls: Floats) -> Floats:
 def are_clear(segments: Floats, walls: Floats, distance_in: float) -> Mask:
     """Return True (n,) for segments (n, 4) that keep a distance to all walls (m, 4).
 
-    The same as `segment_clearances(segments, walls) >= distance_in`, but a segment is compared with further walls only
-    while it is clear of those before. It is fast if the first walls block most of the segments.
+    The same as `segment_clearances(segments, walls) >= distance_in`, but fast if the first walls block most.
     """
-    clear = np.ones(len(segments), dtype=np.bool_)
+    clear = np.zeros(len(segments), dtype=np.bool_)
+    clear[_passing(segments, walls, lambda part, near: segment_clearances(part, near) >= distance_in)] = True
+    return clear
+
+
+def _passing(segments: Floats, walls: Floats, passes: Callable[[Floats, Floats], Any]) -> Indices:
+    """Return the rows of segments (n, 4) that pass walls (m, 4).
+
+    A segment is compared with further walls only while it passes those before.
+    """
     remaining = np.arange(len(segments))
     first, count = 0, _FIRST_WALLS
     while first < len(walls) and len(remaining):
         count = max(1, min(count, MAX_PAIRS // len(remaining)))
         near = walls[first : first + count]
         first, count = first + count, 2 * count
-        clear[remaining] = segment_clearances(segments[remaining], near) >= distance_in
-        remaining = remaining[clear[remaining]]
-    return clear
-
-
-def crossings(segments: Floats, walls: Floats, touch_in: float = 0.0) -> Mask:
-    """Return a matrix (n, m): True where a segment crosses a wall, the ends of both more than `touch_in` beyond."""
-    one, other = segments[:, None, :], walls[None, :, :]
-    return _parts(one, other, touch_in) & _parts(other, one, touch_in)
-
-
-def _parts(segments: Floats, others: Floats, touch_in: float) -> Mask:
-    """Return True where the line of a segment has both ends of another segment farther than `touch_in` on two sides."""
-    first, second = _side(segments, others[..., :2]), _side(segments, others[..., 2:])
-    parts: Mask = first * second < 0.0
-    if touch_in > 0.0:
-        least = touch_in * np.hypot(segments[..., 2] - segments[..., 0], segments[..., 3] - segments[..., 1])
-        parts &= (np.abs(first) > least) & (np.abs(second) > least)
-    return parts
-
-
-def _side(segments: Floats, points: Floats) -> Floats:
-    """Return the cross product that is positive for points to the left of a segment."""
-    along = segments[..., 2:] - segments[..., :2]
-    offset = points - segments[..., :2]
-    return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
+        remaining = remaining[passes(segments[remaining], near)]
+    return remaining
 
 
 class CornerCircle:
@@ -385,14 +370,9 @@ class WallEnds:
         """Return the numbers of the ends that no wall hides from a point; of two that a wall touches both count."""
         nearest_first = self.walls[np.argsort(nearest_points(np.array(point), self.walls)[1], kind="stable")]
         segments = np.concatenate((np.broadcast_to(point, self.points.shape), self.points), axis=1)
-        visible = np.flatnonzero((segments[:, :2] != segments[:, 2:]).any(axis=1))
-        first, count = 0, _FIRST_WALLS
-        while first < len(nearest_first) and len(visible):
-            count = max(1, min(count, MAX_PAIRS // len(visible)))
-            near = nearest_first[first : first + count]
-            first, count = first + count, 2 * count
-            visible = visible[~crossings(segments[visible], near, TOUCH_IN).any(axis=1)]
-        return visible
+        others = np.flatnonzero((segments[:, :2] != segments[:, 2:]).any(axis=1))
+        seen = _passing(segments[others], nearest_first, lambda ray, near: ~crossings(ray, near, TOUCH_IN).any(axis=1))
+        return others[seen]
 
     def _walls_beside(self, number: int) -> tuple[Indices, Indices]:
         """Return the walls near the lines from an end to those visible from it, in the order of `visible_from`.
@@ -414,7 +394,7 @@ def pair_clearances(segments: Floats, walls: Floats) -> Floats:
     for one, other in ((segments, walls), (walls, segments)):
         for end in (slice(0, 2), slice(2, 4)):
             np.minimum(nearest, nearest_points_of_pairs(one[:, end], other)[1], out=nearest)
-    nearest[_parts(segments, walls, 0.0) & _parts(walls, segments, 0.0)] = 0.0
+    nearest[crosses(segments, walls)] = 0.0
     return nearest
 
 
@@ -462,10 +442,8 @@ class Roadmap:
         # 3. Number the nodes after those of start and goal: by kind, pair and end.
         own, other = own[rows], 1 - own[rows]
         tangents = (kinds[rows] * count + circles[rows, 0]) * count + circles[rows, 1]
-        return _CircleNodes(
-            2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own], circles[rows, other],
-            points[rows, other],
-        )  # fmt: skip
+        return _CircleNodes(2 + 4 * count + 2 * tangents + own, angles[rows, own], points[rows, own],
+                            circles[rows, other], points[rows, other])  # fmt: skip
 
     def path(self, start: Point, goal: Point, min_goal_distance_in: float | None = None) -> list[PathElement]:
         """Return the shortest path from start to goal; empty if they are the same point.
@@ -610,14 +588,10 @@ class Planner:
         self.walls = np.asarray(walls, dtype=np.float64).reshape(-1, 4)
         self.body_in = body_in
         self._ends = WallEnds(self.walls, body_in + MARGINS_IN[-1])
-        self._roadmap = cache(self._build_roadmap)
+        self._roadmap = cache(lambda margin_in: Roadmap(self.walls, body_in + margin_in, self._ends))
 
-    def _build_roadmap(self, margin_in: float) -> Roadmap:
-        return Roadmap(self.walls, self.body_in + margin_in, self._ends)
-
-    def plan(
-        self, start: Point, goal: Point, obstacles: Floats | None = None, min_margin_in: float = 0.0
-    ) -> PlannedPath:
+    def plan(self, start: Point, goal: Point, obstacles: Floats | None = None,
+             min_margin_in: float = 0.0) -> PlannedPath:
         """Return a path from start to goal.
 
         Parameters

@@ -77,10 +77,8 @@ class Navigator:
         Stand after the last waypoint and wait for new ones instead of ending.
     """
 
-    def __init__(
-        self, waypoints: Sequence[tuple[float, float]], speeds: Speeds | None = None, radius_in: float = STOP_RADIUS_IN,
-        *, stays: bool = False,
-    ) -> None:  # fmt: skip
+    def __init__(self, waypoints: Sequence[tuple[float, float]], speeds: Speeds | None = None,
+                 radius_in: float = STOP_RADIUS_IN, *, stays: bool = False) -> None:  # fmt: skip
         self._stays = stays
         self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
         self._gains = (speeds or Speeds()).gains
@@ -127,9 +125,8 @@ class NavigationStep(NamedTuple):
     passed: int
 
 
-def start_localizer(
-    robot: Robot, config: LocalizationConfig, belief: Belief, method: str | Filter = DEFAULT_METHOD
-) -> Localizer:
+def start_localizer(robot: Robot, config: LocalizationConfig, belief: Belief,
+                    method: str | Filter = DEFAULT_METHOD) -> Localizer:
     """Restart the robot's sonar ring, so that its firing times are known, and start a filter.
 
     Parameters
@@ -148,10 +145,9 @@ def start_localizer(
     return localizer
 
 
-def follow_waypoints(
-    robot: Robot, localizer: Localizer, navigator: Controller, wait: Callable[[float], None],
-    smoother: control_law.PoseSmoother | None = None, *, turns_turret: bool = False,
-) -> Generator[NavigationStep, None, None]:  # fmt: skip
+def follow_waypoints(robot: Robot, localizer: Localizer, navigator: Controller, wait: Callable[[float], None],
+                     smoother: control_law.PoseSmoother | None = None, *,
+                     turns_turret: bool = False) -> Generator[NavigationStep, None, None]:  # fmt: skip
     """Drive until the navigator is finished and yield each period; the robot is stopped at the end in any case.
 
     Without a waypoint left, a navigator that stays gives no commands: the robot may be driven by other clients.
@@ -198,18 +194,15 @@ def follow_waypoints(
                 fraction = gap_limiter.speed_fraction(estimate.clock_s)
                 translation_in_s, steering_rad_s = (fraction * speed for speed in command)
                 turret = {"turret_rad_s": steering_rad_s} if turns_turret else {}
-                after = drive_unless_held(
-                    robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s, **turret
-                )
+                after = drive_unless_held(robot, translation_in_s=translation_in_s, steering_rad_s=steering_rad_s,
+                                          **turret)
             stands = command == STAND
             state = wait_for_next_state(robot, state, after, wait)
 
 
-def record_run(
-    robot: Robot, config: LocalizationConfig, waypoints: Sequence[tuple[float, float]],
-    method: str | Filter = DEFAULT_METHOD, *, start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
-    wait: Callable[[float], None] | None = None,
-) -> Run:  # fmt: skip
+def record_run(robot: Robot, config: LocalizationConfig, waypoints: Sequence[tuple[float, float]],
+               method: str | Filter = DEFAULT_METHOD, *, start_std: tuple[float, float, float] = (0.1, 0.1, 0.01),
+               wait: Callable[[float], None] | None = None) -> Run:  # fmt: skip
     """Drive to waypoints on the estimate of a filter, and return the record of the run, for `localization.plot`.
 
     Parameters
@@ -255,9 +248,8 @@ def drive_unless_held(robot: Robot, **velocities: float) -> RobotState:
         return robot.refresh()
 
 
-def wait_for_next_state(
-    robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]
-) -> RobotState:
+def wait_for_next_state(robot: Robot, before: RobotState, after: RobotState,
+                        wait: Callable[[float], None]) -> RobotState:
     """Return the state one period after `before`; `wait` is `Robot.sleep`, or a stand-in of it."""
     remaining_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
     if remaining_s >= MIN_WAIT_S:

@@ -20,7 +20,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeModel, ConeSonar, update_by_cone
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel, RaySonar, update_by_ray
-from localization.filters.update import CorrelatedReadings, Refusal
+from localization.filters.update import Refusal, new_used
 from worlds.compiled import VARIABLE
 from worlds.io import load_world
 from worlds.robots import N150
@@ -59,7 +59,7 @@ def test_compiled_states_equal_plain_python_to_the_bit(
     rng, refusals, seen = np.random.default_rng(n), set(), []
     mean, std = np.array([20.0, 50.0, 0.3, 0.01, -0.01, 1e-4])[:n], np.array([0.5, 0.5, 0.02, 0.02, 0.02, 1e-3])[:n]
     belief = with_constants(Belief(mean, np.diag(std**2)), range_stds)
-    lists = FilterMemory(*unpack(belief), CorrelatedReadings().used, empty_slip_sums(), empty_windows(20))
+    lists = FilterMemory(*unpack(belief), new_used(), empty_slip_sums(), empty_windows(20))
     arrays = FilterMemory(*(np.array(part) for part in lists))  # type: ignore[arg-type]
     for k in range(30):
         state = StateInput(*random_ring(rng), clock_std_s=0.01, detects_slips=k % 10 != 9)

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, CorrelatedReadings, inflated_variance
+from localization.filters.update import (
+    SAME_POSE_IN,
+    SAME_POSE_RAD,
+    Used,
+    count_used,
+    inflated_variance,
+    move_on,
+    new_used,
+    record_used,
+)
 
 
 @pytest.mark.parametrize(("anew", "constant"), [(0.1, 0.08), (2.0, 1e-3), (0.04, 0.0)])
@@ -32,26 +41,26 @@ def test_fully_correlated_reading_adds_no_information(anew: float) -> None:
     assert second > 1e9
 
 
-def number_of(repeats: CorrelatedReadings, sonar: int, turret_rad: float = 0.0) -> int:
+def number_of(repeats: Used, sonar: int, turret_rad: float = 0.0) -> int:
     """Of a reading that is taken in: 1 for the first from this place."""
-    before = repeats.count(sonar, turret_rad)
-    repeats.record(sonar, turret_rad)
-    return before + 1
+    count = count_used(repeats, sonar, turret_rad) + 1
+    record_used(repeats, sonar, turret_rad, count)
+    return count
 
 
 def test_a_robot_that_stands_counts_each_sonar() -> None:
-    repeats = CorrelatedReadings()
+    repeats = new_used()
     counts = []
     for _ in range(3):
-        repeats.move(0.0, 0.0)
+        move_on(repeats, 0.0, 0.0)
         counts.append((number_of(repeats, 0, 0.1), number_of(repeats, 1, 0.1)))
     assert counts == [(1, 1), (2, 2), (3, 3)]
 
 
 def test_unrecorded_readings_are_not_counted() -> None:
-    repeats = CorrelatedReadings()
-    assert [repeats.count(0, 0.0) for _ in range(3)] == [0, 0, 0]
-    assert [number_of(repeats, 0), repeats.count(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
+    repeats = new_used()
+    assert [count_used(repeats, 0, 0.0) for _ in range(3)] == [0, 0, 0]
+    assert [number_of(repeats, 0), count_used(repeats, 0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -67,24 +76,24 @@ def test_unrecorded_readings_are_not_counted() -> None:
     ],
 )
 def test_count_restarts_at_another_pose(step: tuple[float, float], turret_rad: float, again: bool) -> None:
-    repeats = CorrelatedReadings()
-    repeats.record(3, 0.0)
-    repeats.move(*step)
+    repeats = new_used()
+    record_used(repeats, 3, 0.0, 1)
+    move_on(repeats, *step)
     assert number_of(repeats, 3, turret_rad) == (2 if again else 1)
 
 
 def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:
-    repeats = CorrelatedReadings()
+    repeats = new_used()
     counts = []
     for _ in range(7):
         counts.append(number_of(repeats, 0))
-        repeats.move(0.4 * SAME_POSE_IN, 0.0)
+        move_on(repeats, 0.4 * SAME_POSE_IN, 0.0)
     assert counts == [1, 2, 3, 1, 2, 3, 1]
 
 
 def test_to_and_fro_is_not_the_same_place() -> None:
-    repeats = CorrelatedReadings()
-    repeats.record(0, 0.0)
+    repeats = new_used()
+    record_used(repeats, 0, 0.0, 1)
     for distance in (0.6, -0.6):
-        repeats.move(distance * SAME_POSE_IN, 0.0)
-    assert repeats.count(0, 0.0) == 0
+        move_on(repeats, distance * SAME_POSE_IN, 0.0)
+    assert count_used(repeats, 0, 0.0) == 0
