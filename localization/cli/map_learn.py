@@ -64,8 +64,8 @@ PLANE_ROUGHNESS_IN = 0.8
 """Of walls of a building without levels: pieces of a real wall differ by 40 mm, doors stand back."""
 PRINT_S = 5.0
 """Seconds of the robot's clock between two lines of progress."""
-SPEED_IN_S = 6.0
-TURN_RAD_S = 0.6
+SPEED_IN_S = 9.0
+TURN_RAD_S = 0.8
 """Slower than a robot can turn: a node stands for half a second."""
 
 

@@ -66,6 +66,8 @@ CLEAR_IN: Final = 7.0
 """Space from which a path costs no more: nearer than 6 in sonars measure nothing, and the robot drives slowly."""
 PASSED_IN: Final = 1.5
 """Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
+TIGHT: Final = 4.0
+"""Cells beside a wall cost so many times more; half of that halfway."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
 lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
@@ -75,8 +77,8 @@ WALL_SHADOW_IN: Final = 5.0
 """Unknown cells this near to a wall are its own."""
 UNKNOWN_IN: Final = 8.0
 """The robot's axis stays this far from unknown cells that no wall explains: nearer, something may block it."""
-CIRCLE_IN, MAX_CIRCLE_IN = 2.0, 60.0
-"""Subtracted from the shortest range of a turn, for noise and motion; and the largest circle."""
+CIRCLE_IN, MAX_CIRCLE_IN, SAME_POSE_IN = 2.0, 60.0, 4.0
+"""Subtracted from the shortest range of a turn, for noise and motion; the largest circle; and one in such a square."""
 NEAR_ECHO_IN, ECHO_SHADOW_IN = 36.0, 4.0
 """Unknown cells this near to the end of an echo that is shorter than this hide a wall that is not in the map yet: the
 ends of longer echoes spread over the width of a door."""
@@ -105,10 +107,11 @@ REACH_CELLS_IN: Final = 6.0
 """A place is exchanged for the nearest cell within this distance that the robot can reach."""
 MIN_FREE_IN: Final = 1.2
 """A leg that begins with less free distance is blocked at once."""
+SAME_PLACE_IN: Final = 0.5
 ESCAPE_IN: Final = 8.0
 """Then the robot drives back by this much: the edge of a wall that reflects little may be near in other directions."""
-AHEAD_IN: Final = 3.0
-"""Distance from the body to what blocked a leg."""
+AHEAD_IN, BLOCKED_S = 3.0, 60.0
+"""Distance from the body to what blocked a leg, and how long it counts."""
 MAX_REVISIONS: Final = 2
 START_LEG_IN: Final = 30.0
 START_TURN_IN: Final = 5.0
@@ -121,8 +124,14 @@ TURN_RAD_S, TURN_BASE_IN = 0.5, 16.0
 MAX_TURNS_COMPARED: Final = 12
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
-WORTH: Final = {"frontier": 3.0, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
+WORTH: Final = {"frontier": 1.5, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
+MEASURING_PACE, DRIVEN_FRACTION = 2.0 / 3.0, 0.7
+"""Fraction of the top speed, but to frontiers before as much as can be unknown, and where so much of the path has been
+driven before."""
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
+SAME_FRONTIER_IN, STAY = 12.0, 1.5
+"""Frontiers nearer to one another are one; that to which the robot is driving is worth so many times more, or it turns
+back and forth between two."""
 AGAIN_S, MAX_TRIES_EVER = 90.0, 16
 """A frontier that was tried in vain is tried again after this time, and so often at most."""
 SAME_GOAL_IN, MAX_LOOKS = 5.0, 2
@@ -218,12 +227,14 @@ class Explorer:
         self._graph: Any = scipy.sparse.csgraph
         self._body_in, self._speed_in_s, self._fence = body_in, speed_in_s, fence
         self._time_limit_s = time_limit_s
-        self.blocked: list[Point] = []
-        """Points at which something blocked a leg."""
+        self.blocked: dict[Point, float] = {}
+        """Points at which something blocked a leg, and when, in seconds."""
         self._tried: list[Place] = []
+        self._before: Place | None = None
         self._clock_s = 0.0
         self._place: Place | None = None
-        self._is_blocked = self._is_undecided = False
+        self._is_blocked = self._is_undecided = self._is_stuck = self._is_driven = False
+        self._blocked_at: Point = inf, inf
         self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = False
@@ -242,11 +253,18 @@ class Explorer:
         was_blocked, self._is_blocked = self._is_blocked, False
         if path and was_blocked and not self._is_last:
             direction = float(np.arctan2(path[0][1] - pose[1], path[0][0] - pose[0]))
-            if free_in(direction) < MIN_FREE_IN:
+            if self._is_stuck or free_in(direction) < MIN_FREE_IN:
                 # The same reading would block this leg as well: first away from what is near.
                 self._place = None
                 return self._way_back(pose, mapper.poses) or self._free_leg(pose, free_in, ESCAPE_IN)
         return path
+
+    @property
+    def pace(self) -> float:
+        """Fraction of the top speed for the leg: less where walls are to be measured, as short ones get few echoes."""
+        place = self._place
+        is_far = place is not None and place.kind == "frontier" and place.size == MAX_SIZE
+        return 1.0 if is_far or (place is not None and self._is_driven) else MEASURING_PACE
 
     def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
         """Return a leg to where the robot was ESCAPE_IN ago: there is nothing on it; none at the beginning."""
@@ -324,12 +342,14 @@ class Explorer:
         self._is_blocked = bool(reason)
         if reason:
             reach = self._body_in + AHEAD_IN
-            self.blocked.append((
-                float(pose[0]) + reach * float(np.cos(direction_rad)),
-                float(pose[1]) + reach * float(np.sin(direction_rad)),
-            ))  # fmt: skip
+            # Twice at the same place: beside a wall too near to measure nothing but the way back is left.
+            self._is_stuck = dist(self._blocked_at, pose[:2]) < SAME_PLACE_IN
+            self._blocked_at = float(pose[0]), float(pose[1])
+            x, y = pose[:2] + reach * np.array((np.cos(direction_rad), np.sin(direction_rad)))
+            self.blocked[float(x), float(y)] = self._clock_s
         if self._place is not None:
             self._add_tries(self._place, BLOCKED_TRIES if reason else 1)
+        self._before = None if reason else self._place
         self._place = None
 
     def unexplored(self, estimate: MapEstimate) -> Floats:
@@ -352,7 +372,7 @@ class Explorer:
     def _grid(self, mapper: LiveMapper | _Finished, pose: Floats) -> Grid:
         """Return the grid of the map as it is."""
         # Walls as far as they were seen, and as far as their corners.
-        self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate)
+        self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate, with_accuracy=False)
         ends = np.array([piece.ends.reshape(4) for piece in self._pieces]).reshape(-1, 4)
         positions = mapper.poses[:, :2]
         walls = passed(np.concatenate((mapper.walls, ends)), positions, self._body_in - PASSED_IN)
@@ -378,9 +398,13 @@ class Explorer:
         grid.free |= self._image.distance_transform_edt(~grid.driven, sampling=CELL_IN) <= self._body_in
         # Slits between neighbouring echoes.
         grid.free |= self._image.binary_closing(grid.free, iterations=2)
-        # 3. Space to the walls, exact where it matters. What blocked a leg where the robot has been is gone.
+        # 3. Space to the walls, exact where it matters. What blocked a leg where the robot has been is gone, and a bad
+        # reading in a door must not close it for ever.
         been = positions if len(positions) else pose[None, :2]
-        self.blocked = [point for point in self.blocked if np.hypot(*(been - point).T).min() > self._body_in]
+        self.blocked = {
+            point: since_s for point, since_s in self.blocked.items()
+            if self._clock_s - since_s < BLOCKED_S and np.hypot(*(been - point).T).min() > self._body_in
+        }  # fmt: skip
         grid.walls = obstacles = np.concatenate((walls, self._blocks()))
         if len(obstacles):
             marks = np.zeros(grid.free.shape, dtype=np.bool_)
@@ -398,7 +422,7 @@ class Explorer:
         """Return what blocked legs, as short segments (n, 4)."""
         if not self.blocked:
             return np.zeros((0, 4))
-        points = np.array(self.blocked)
+        points = np.array(list(self.blocked))
         return np.concatenate((points - (1.0, 0.0), points + (1.0, 0.0)), axis=1)  # noqa: RUF005
 
     def _mark_sectors(self, grid: Grid, estimate: MapEstimate) -> None:
@@ -438,8 +462,12 @@ class Explorer:
         shortest[trajectory.is_too_near[:count]] = 0.0
         # A turn of the ring is two nodes; one more at either side for what a bad reading hides.
         turn = np.minimum.reduce([np.roll(shortest, shift) for shift in (-1, 0, 1)])
-        for (x, y), nearest in zip(estimate.state.poses[:, :2], turn, strict=True):
-            radius = min(float(nearest) - CIRCLE_IN, MAX_CIRCLE_IN)
+        radii = np.minimum(turn - CIRCLE_IN, MAX_CIRCLE_IN)
+        # Of the poses in a square the one with the largest circle.
+        order = np.argsort(-radii, kind="stable")
+        _, first_of = np.unique(np.floor(estimate.state.poses[order, :2] / SAME_POSE_IN), axis=0, return_index=True)
+        largest = order[first_of]
+        for (x, y), radius in zip(estimate.state.poses[largest, :2], radii[largest].tolist(), strict=True):
             if not radius > self._body_in:
                 continue
             first, last = grid.cells(np.array(((x - radius, y - radius), (x + radius, y + radius))))
@@ -472,7 +500,7 @@ class Explorer:
             row, column = cells[np.hypot(*(grid.centres(cells) - pose[:2]).T).argmin()].tolist()
         # 2. Eight neighbours; narrow places cost more.
         tight = np.clip((self._body_in + CLEAR_IN - grid.space) / CLEAR_IN, 0.0, 1.0)
-        price = CELL_IN * (1.0 + 2.0 * tight)
+        price = CELL_IN * (1.0 + TIGHT * tight)
         number = np.arange(passable.size).reshape(passable.shape)
         ones, others, costs = [], [], []
         for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -511,14 +539,7 @@ class Explorer:
             tries = self._tries(place)
             if not near.any() or tries >= MAX_TRIES[place.kind]:
                 continue
-            # Beside a wall nearer than sonars measure nothing shows how near it is: only where there is no other place.
-            has_space = near & (space > self._body_in + COMFORT_IN)
-            near = has_space if has_space.any() else near
-            if place.kind == "frontier":
-                # In sight of it: first from where sonars measure a wall, then from as near as the robot can come, but
-                # not where they have measured something: the edge of a door reflects little from near.
-                clear = grid.echo_in[reached[:, 0], reached[:, 1]] > self._body_in + COMFORT_IN
-                near = has_space & (clear if tries else away > LOOK_IN)
+            near = self._cells_to_look_from(place, tries, near, space, away, grid.echo_in[reached[:, 0], reached[:, 1]])
             # The nearest cell to the place, cheap to reach.
             rows = np.flatnonzero(near)
             rows = rows[np.argsort((away + 0.3 * costs)[rows], kind="stable")]
@@ -540,6 +561,8 @@ class Explorer:
             self.places.append(place)
             seconds = SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s)
             worth = WORTH[place.kind] * place.size
+            if self._is_for(place):
+                worth *= STAY
             if np.hypot(*(goal - pose[:2])) < HERE_IN:
                 here = max(here, worth / seconds)
                 continue
@@ -553,7 +576,38 @@ class Explorer:
         if chosen is None:
             return None
         self._place = chosen[0]
-        return self.path(grid, pose, chosen[1])
+        path = self.path(grid, pose, chosen[1])
+        samples = _dense(np.concatenate((pose[None, :2], path)))
+        near = np.hypot(*(samples[:, None] - visited).transpose(2, 0, 1)).min(axis=1) < VISITED_IN
+        self._is_driven = bool(near.mean() > DRIVEN_FRACTION)
+        return path
+
+    def _cells_to_look_from(
+        self, place: Place, tries: int, near: Mask, space: Floats, away: Floats, echo_in: Floats
+    ) -> Mask:
+        """Return the cells (n,) of those near a place from which it is looked at.
+
+        Beside a wall nearer than sonars measure nothing shows how near it is: there only where there is no other cell.
+        A frontier is looked at first from where sonars measure a wall, then from as near as the robot can come, but not
+        where they have measured something: the edge of a door reflects little from near.
+        """
+        for least_in in (CLEAR_IN, COMFORT_IN):
+            with_space = near & (space > self._body_in + least_in)
+            if place.kind == "frontier" and tries:
+                with_space &= (least_in == COMFORT_IN) & (echo_in > self._body_in + COMFORT_IN)
+            elif place.kind == "frontier":
+                with_space &= away > LOOK_IN
+            if with_space.any() or (place.kind == "frontier" and least_in == COMFORT_IN):
+                return with_space
+        return near
+
+    def _is_for(self, place: Place) -> bool:
+        """Return True for the frontier for which the leg before was driven."""
+        before = self._before
+        return (
+            before is not None and place.kind == before.kind == "frontier"
+            and hypot(place.x_in - before.x_in, place.y_in - before.y_in) < SAME_FRONTIER_IN
+        )  # fmt: skip
 
     def _turn_seconds(self, grid: Grid, pose: Floats, goal: npt.NDArray[np.intp]) -> float:
         """Return the time that the turn into the path to a cell takes, backwards if that is the smaller one."""
@@ -575,7 +629,7 @@ class Explorer:
 
         A frontier is tried again after a while: the map may have changed, and a door leads to all that is behind it.
         """
-        radius = 12.0 if place.kind == "frontier" else 5.0
+        radius = SAME_FRONTIER_IN if place.kind == "frontier" else 5.0
         ages_s = [
             self._clock_s - other.tried_s
             for other in self._tried

@@ -242,7 +242,7 @@ def update_features(estimate: MapEstimate, first_node: int) -> None:
         estimate.associate(first_node)
         estimate.optimize()
     # 2. Revision.
-    if merge(estimate, with_faces=False) + prune(estimate):
+    if merge(estimate, with_faces=False) + prune(estimate, first_node):
         estimate.optimize()
     # 3. Places that were not recognized.
     if close_loops(estimate, first_node - LOOP_WINDOW_NODES) and merge(estimate, with_faces=False) + prune(estimate):
@@ -263,11 +263,14 @@ def learn_map(
 # Revision.
 
 
-def prune(estimate: MapEstimate) -> int:
-    """Remove features that save less than their penalty, the least useful first, and return their number."""
+def prune(estimate: MapEstimate, first_node: int = 0) -> int:
+    """Remove features that save less than their penalty, the least useful first, and return their number.
+
+    Only those that were measured since a node: of the others nothing has changed.
+    """
     removed = 0
     while estimate.state.features:
-        losses = _losses(estimate)
+        losses = _losses(estimate, first_node)
         walls = len(estimate.state.walls)
         penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
         penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
@@ -288,12 +291,14 @@ def _are_spans(estimate: MapEstimate) -> Mask:
     return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), TIE_IN).any(axis=1))
 
 
-def _losses(estimate: MapEstimate) -> Floats:
-    """Return by how much the cost of the echoes rises without each feature (f,)."""
-    state = estimate.state
-    losses = np.empty(state.features)
+def _losses(estimate: MapEstimate, first_node: int) -> Floats:
+    """Return by how much the cost of the echoes rises without each feature (f,); inf for those not measured lately."""
+    state, node = estimate.state, estimate.problem.trajectory.node
+    losses = np.full(state.features, np.inf)
     for feature in range(state.features):
         echoes = estimate.echoes_of(feature)
+        if first_node and len(echoes) and node[echoes[-1]] < first_node:
+            continue
         without = estimate.copy()
         without.remove(feature)
         _, now = assign(estimate, echoes)
@@ -410,7 +415,8 @@ def drop_hidden(estimate: MapEstimate) -> int:
         _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
         without = estimate.copy()
         without.remove(wall)
-        others = np.array([piece.ends.reshape(4) for piece in extract_walls(without)]).reshape(-1, 4)
+        pieces = extract_walls(without, with_accuracy=False)
+        others = np.array([piece.ends.reshape(4) for piece in pieces]).reshape(-1, 4)
         blocked = is_blocked(sensors.face, spots[:, wall], others, estimate.blocked_in)
         if len(echoes) and blocked.mean() > HIDDEN_FRACTION:
             without.associate()

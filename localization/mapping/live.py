@@ -47,7 +47,8 @@ NODES_PER_FRACTION: Final = 40
 """The longer the drive, the rarer the whole map is solved: the effort grows with its nodes."""
 ALWAYS_CHALLENGED: Final = 80
 """Nodes up to which each map is compared with one learned from the beginning: the first 40 s decide."""
-CHALLENGE_GROWTH: Final = 1.5
+CHALLENGE_GROWTH, MAX_CHALLENGED = 1.5, 600
+"""Where the ranges misfit, again after so much more driving, up to so many nodes: later learning takes too long."""
 CHALLENGE_ROUNDS: Final = (17, 24, 13)
 """Nodes per round of those, in turn: other choices at the same places."""
 MAX_MISFIT: Final = 0.8
@@ -236,7 +237,8 @@ class LiveMapper:
         """
         nodes = len(estimate.state.poses)
         is_poor = estimate.misfit >= MAX_MISFIT
-        if nodes > ALWAYS_CHALLENGED and not (is_poor and nodes > CHALLENGE_GROWTH * self._challenged_nodes):
+        is_due = is_poor and CHALLENGE_GROWTH * self._challenged_nodes < nodes < MAX_CHALLENGED
+        if nodes > ALWAYS_CHALLENGED and not is_due:
             return estimate
         self._challenged_nodes = nodes
         learner = MapLearner(

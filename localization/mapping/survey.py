@@ -205,6 +205,11 @@ class SpeedGuard:
 class Driver(Protocol):
     """Choice of the next path. `leg` returns the points of the next path, None at the end."""
 
+    @property
+    def pace(self) -> float:
+        """Fraction of the top speed at which the path is driven."""
+        ...
+
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
@@ -231,6 +236,11 @@ class WaypointDriver:
     def remaining(self) -> list[Point]:
         """Waypoints to come."""
         return self._waypoints
+
+    @property
+    def pace(self) -> float:
+        """The top speed."""
+        return 1.0
 
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]  # noqa: ARG002
@@ -342,7 +352,8 @@ class _Motion:
             points = self._driver.leg(elapsed_s, pose, mapper, free_in)
             if points is None:
                 return "done"
-            self._leg = _Leg(pose, points, self._limits, mapper.walls, self._guard.body_in)
+            limits = self._limits.capped(self._driver.pace * self._limits.translation_in_s)
+            self._leg = _Leg(pose, points, limits, mapper.walls, self._guard.body_in)
             self._blocked_s = inf
         command = self._leg.command(pose)
         if command is None:

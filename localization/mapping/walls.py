@@ -195,8 +195,8 @@ class _Line:
         return int(within.sum()) >= MIN_CROSSINGS
 
 
-def extract_walls(estimate: MapEstimate) -> list[Piece]:
-    """Return the walls of a map, in the frame of its first pose, the longest first."""
+def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[Piece]:
+    """Return the walls of a map, in the frame of its first pose, the longest first; their accuracy if it matters."""
     # 1. Lines, and the paths that have crossed them.
     starts, ends = free_paths(estimate)
     lines = []
@@ -217,7 +217,8 @@ def extract_walls(estimate: MapEstimate) -> list[Piece]:
     ]  # fmt: skip
     # 3. Ends.
     pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
-    _add_accuracy(estimate, pieces, lines)
+    if with_accuracy:
+        _add_accuracy(estimate, pieces, lines)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
 

@@ -197,7 +197,7 @@ def test_what_blocks_a_leg_lies_ahead_of_the_body() -> None:
     explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
     explorer.leg(1.0, pose, cast("LiveMapper", NoMap()), lambda way: 30.0 if abs(way) < 0.1 else 5.0)
     explorer.end_leg(pose, "blocked", np.pi / 2.0)
-    np.testing.assert_allclose(explorer.blocked, [(10.0, 20.0 + BODY_IN + 3.0)], atol=1e-9)
+    np.testing.assert_allclose(list(explorer.blocked), [(10.0, 20.0 + BODY_IN + 3.0)], atol=1e-9)
 
 
 def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,7 +239,7 @@ def test_exploration_goes_on_with_a_revised_map_before_it_ends(
     monkeypatch.setattr(explorer, "_next_path", lambda *_: found.pop(0))
     explorer.end_leg(pose, "blocked", 0.0)
     assert explorer.leg(100.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) == [(5.0, 5.0)]
-    assert (mapper.revisions, explorer.blocked) == (1, [])
+    assert (mapper.revisions, explorer.blocked) == (1, {})
     # The second time there is nothing left: the last leg, and the end.
     assert explorer.leg(110.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) is not None
     assert (mapper.revisions, found) == (2, [])
@@ -249,9 +249,9 @@ def test_exploration_goes_on_with_a_revised_map_before_it_ends(
 def test_what_blocked_a_leg_is_gone_where_the_robot_has_been(estimate: MapEstimate) -> None:
     explorer, finished = Explorer(BODY_IN, 6.0, 300.0), _Finished(estimate)
     x, y = finished.poses[len(finished.poses) // 2, :2].tolist()
-    explorer.blocked = [(x + 1.0, y), (300.0, 300.0)]
+    explorer.blocked = {(x + 1.0, y): 0.0, (300.0, 300.0): 0.0}
     explorer.unexplored(estimate)
-    assert explorer.blocked == [(300.0, 300.0)]
+    assert explorer.blocked == {(300.0, 300.0): 0.0}
 
 
 def test_corners_are_measured_from_between_their_walls() -> None:
