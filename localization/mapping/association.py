@@ -56,6 +56,7 @@ from localization.mapping.problem import (
     robust_cost,
     sensors_at,
 )
+from worlds import geometry
 
 Mask = npt.NDArray[np.bool_]
 
@@ -385,19 +386,7 @@ def segments_of(walls: Floats, extents: Floats, shorter_in: float = 0.0) -> Floa
 
 def crossings(starts: Floats, ends: Floats, segments: Floats) -> Mask:
     """Return True (p, s) where the path (p, 2) to (p, 2) crosses the segment (s, 4)."""
-    one, other = segments[None, :, :2], segments[None, :, 2:]
-    begin, end = starts[:, None], ends[:, None]
-
-    def side(a: Floats, b: Floats, p: Floats) -> Floats:
-        """Return the cross product of b - a and p - a."""
-        cross: Floats = (b[..., 0] - a[..., 0]) * (p[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
-            p[..., 0] - a[..., 0]
-        )
-        return cross
-
-    apart = side(begin, end, one) * side(begin, end, other) < 0.0
-    between = side(one, other, begin) * side(one, other, end) < 0.0
-    return np.asarray(apart & between, dtype=np.bool_)
+    return geometry.crossings(np.concatenate((starts, ends), axis=1), segments)
 
 
 def is_blocked(starts: Floats, ends: Floats, segments: Floats, before_in: float = BLOCKED_IN) -> Mask:

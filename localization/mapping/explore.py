@@ -10,7 +10,7 @@ for each leg, from the map as it is.
     frontier     doors first      free cells beside unknown ones that no wall explains
     open end     next             6 in beyond the end of a wall, 18 in in front of it
     span         next             18 in before the middle of two points between which it is open whether there is a wall
-    vertex       then             around a point or an end at which fewer than two walls were found
+    vertex       then             around a point at which fewer than two walls end, where the robot has not looked from
     coverage     then             cells farther than 20 in from where the robot has been
     corner       last             5 in beside both walls of a corner: there ranges tell the offset of all sonars apart
                                   from the size of the room
@@ -48,9 +48,9 @@ from localization.mapping.walls import (
     uncrossed_spans,
 )
 from localization.navigation.path import angle_difference, wall_distances
-from localization.navigation.roadmap import crossings, segment_clearances
+from localization.navigation.roadmap import segment_clearances
 from nclient.errors import install_command
-from worlds.geometry import nearest_points
+from worlds.geometry import crossings, nearest_points
 from worlds.map_files import MapsExtraMissing
 
 Mask = npt.NDArray[np.bool_]

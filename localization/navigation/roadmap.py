@@ -48,8 +48,7 @@ from localization.navigation.path import (
     wall_distances,
 )
 from nclient.errors import NomadError
-from worlds.geometry import crosses, expand, nearest_points, nearest_points_of_pairs
-from worlds.geometry import crossings as crossings  # localization.mapping.explore imports it from here
+from worlds.geometry import crosses, crossings, expand, nearest_points, nearest_points_of_pairs
 
 START, GOAL = 0, 1
 ESCAPE_IN, ESCAPE_STEP_IN, ESCAPE_DIRECTIONS = 12.0, 0.25, 72
