@@ -87,6 +87,8 @@ MIN_RUN_SPOTS: Final = 3
 SIDED_ECHOES, SIDED = 4, 0.8
 """A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
 at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is."""
+MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
+"""Width of a door: the robot is 19 in wide."""
 CORNER_IN, INNER_IN = 4.0, 6.0
 """A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
@@ -489,8 +491,9 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
-    for point, face in zip(*_inner_corners(estimate), strict=True):
-        residual[is_back[:, face], len(walls) + point] = np.inf
+    for points, faces in (_inner_corners(estimate), _edges_of_faces(estimate)):
+        for point, face in zip(points, faces, strict=True):
+            residual[is_back[:, face], len(walls) + point] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
@@ -520,6 +523,29 @@ def _inner_corners(estimate: MapEstimate) -> tuple[Indices, Indices]:
     reach = (onward[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
     is_inner = (on_wall[:, :, None] & on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
     points, faces = np.nonzero(is_inner & (estimate.sides != 0.0))
+    return points, faces
+
+
+def _edges_of_faces(estimate: MapEstimate) -> tuple[Indices, Indices]:
+    """Return points and faces (k,) of edges in the plane of a face: on it, or across an opening from where it ends.
+
+    From behind the face the edge on that side of the wall is nearer, in about the same direction, and echoes first. A
+    point at the end of a face may be the corner of a box, which is seen from beside the face as well, unless there is
+    another one in its plane at the distance of a door.
+    """
+    state, (low, high) = estimate.state, estimate.extents.T
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+    along = state.points[:, 1:] * c - state.points[:, :1] * s
+    on_line = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
+    growth = growth_of(estimate.extents)
+    on_line &= (estimate.sides != 0.0) & (along > low - growth) & (along < high + growth)
+    # 1. Points (v, w) at the ends, and the others.
+    at_low, at_high = on_line & (np.abs(along - low) < END_IN), on_line & (np.abs(along - high) < END_IN)
+    # 2. Openings of the width of a door beyond the ends.
+    to_low, to_high = low - along, along - high
+    before = (on_line & (to_low > MIN_DOOR_IN) & (to_low < MAX_DOOR_IN)).any(axis=0)
+    after = (on_line & (to_high > MIN_DOOR_IN) & (to_high < MAX_DOOR_IN)).any(axis=0)
+    points, faces = np.nonzero((on_line & ~at_low & ~at_high) | (at_low & before) | (at_high & after))
     return points, faces
 
 

@@ -494,9 +494,6 @@ def _joined(estimate: MapEstimate, motion: _Motion, begins: Floats) -> MapEstima
             reached = segments[new] @ along
             extents[old] = min(extents[old, 0], reached.min()), max(extents[old, 1], reached.max())
     trial.state = replace(state, poses=poses, walls=lines, points=points, levels=levels)
-    # A wall may have been measured from one side before and from the other now.
-    old_walls = motion.pairs[motion.pairs[:, 0] < walls, 0]
-    trial.sides = np.where(np.isin(np.arange(walls), old_walls), 0.0, trial.sides)
     trial.extents, trial.runs = extents, runs
     trial.assignment = replace(trial.assignment, feature=feature)
     for new in sorted(motion.pairs[:, 1].tolist(), reverse=True):

@@ -695,8 +695,11 @@ def _merged(estimate: MapEstimate, remaining: int, removed: int) -> MapEstimate:
     extents = trial.extents.copy()
     extents[remaining] = coordinates.min(), coordinates.max()
     trial.extents, trial.assignment = extents, replace(trial.assignment, feature=feature)
-    # It may have been measured from both sides.
-    trial.sides = np.where(np.arange(len(trial.sides)) == remaining, 0.0, trial.sides)
+    # It may have been measured from both sides, unless both were measured from the same one.
+    angles = trial.state.walls[[remaining, removed], 0]
+    is_same = trial.sides[remaining] * trial.sides[removed] * np.cos(angles[0] - angles[1]) > 0.0
+    if not is_same:
+        trial.sides = np.where(np.arange(len(trial.sides)) == remaining, 0.0, trial.sides)
     trial.remove(removed)
     # 2. Optimized with the echoes of both by plain least squares, as robust weights would leave out those of the
     # removed one where the map is bent; then with those that it explains.

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
-from localization.mapping.association import MapEstimate, _inner_corners, _runs, assign
+from localization.mapping.association import MapEstimate, _edges_of_faces, _inner_corners, _runs, assign
 from localization.mapping.consistency import compare_returns
 from localization.mapping.learn import part_points
 from localization.mapping.problem import (
@@ -71,6 +71,34 @@ def test_corner_of_a_room_is_hidden_by_its_walls(
     assert ((0, 0) in found) is hides
     # Not where no face is known.
     assert not corners_of(walls, extents, np.zeros(2), np.zeros((1, 2)), estimate)
+
+
+@pytest.mark.parametrize(("others", "hidden"), [
+    ([], set()),  # the end of a face alone: the corner of a box, seen from beside it
+    ([130.0], {100.0, 130.0}),  # both edges of a door
+    ([50.0], {50.0}),  # on the face
+    ([-12.0], {-12.0}),  # in its plane, but for what is nearer than a door
+    ([150.0], set()),  # too far away
+])  # fmt: skip
+@pytest.mark.parametrize("turn", [0.0, 1.1])
+def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
+    estimate: MapEstimate, others: list[float], hidden: set[float], turn: float
+) -> None:
+    # A face of 100 in, which may go on by 40 in, and points along it from its begin at the foot of the origin.
+    c, s = np.cos(turn), np.sin(turn)
+    at = [100.0, *others]
+    made = estimate.copy()
+    points = np.array([(5.0 * c - t * s, 5.0 * s + t * c) for t in at])
+    # One 4.5 in behind it is another edge.
+    points = np.concatenate((points, [(9.5 * c - 50.0 * s, 9.5 * s + 50.0 * c)]))
+    made.state = replace(estimate.state, walls=np.array([(turn, 5.0)]), points=points)
+    made.extents, made.sides = np.array([(0.0, 100.0)]), np.array([-1.0])
+    found, faces = _edges_of_faces(made)
+    assert {at[point] for point in found.tolist()} == hidden
+    assert not faces.any()
+    # A wall that was measured from both sides hides nothing.
+    made.sides = np.zeros(1)
+    assert not len(_edges_of_faces(made)[0])
 
 
 def test_path_opens_the_wall_that_it_crosses() -> None:
