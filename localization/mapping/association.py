@@ -491,9 +491,9 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
-    for points, faces in (_inner_corners(estimate), _edges_of_faces(estimate)):
-        for point, face in zip(points, faces, strict=True):
-            residual[is_back[:, face], len(walls) + point] = np.inf
+    points, faces = _hidden_points(estimate)
+    row, pair = np.nonzero(is_back[:, faces])
+    residual[row, len(walls) + points[pair]] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
@@ -505,47 +505,31 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     return np.where(is_explained, best, NO_FEATURE), cost
 
 
-def _inner_corners(estimate: MapEstimate) -> tuple[Indices, Indices]:
-    """Return points and faces (k,) of inner corners: of a face and of a wall that goes on in front of it.
+def _hidden_points(estimate: MapEstimate) -> tuple[Indices, Indices]:
+    """Return points and faces (k,): what is behind the face does not measure the point. They are of three kinds.
 
-    The corner of the next room is behind the face, a hand's breadth from it.
+    An inner corner is on a face and a wall that goes on in front of it: behind it there is the corner of the next room.
+    An edge is on a face, or in its plane across an opening from where it ends, and both edges of a door are: from
+    behind, the edge on that side of the wall is nearer, in about the same direction, and echoes first. The end of a
+    face alone may be the corner of a box, which is seen from beside the face as well.
     """
     state, extents = estimate.state, estimate.extents
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
     along = state.points[:, 1:] * c - state.points[:, :1] * s
     on_wall = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
-    growth = growth_of(extents)
-    on_wall &= (along > extents[:, 0] - growth) & (along < extents[:, 1] + growth)
-    # 2. How far the other wall goes on from there: to where the face's normal points, and away from it.
-    onward = np.stack((extents[:, 0] - along, extents[:, 1] - along), axis=-1)
+    onward, growth = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1), growth_of(extents)[:, None]
+    on_wall &= (onward < growth).all(axis=-1)
+    # 2. Inner corners: how far the other wall goes on from there to where the face's normal points, or away from it.
     slope = c[:, None] * -s + s[:, None] * c
-    reach = (onward[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
-    is_inner = (on_wall[:, :, None] & on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
-    points, faces = np.nonzero(is_inner & (estimate.sides != 0.0))
-    return points, faces
-
-
-def _edges_of_faces(estimate: MapEstimate) -> tuple[Indices, Indices]:
-    """Return points and faces (k,) of edges in the plane of a face: on it, or across an opening from where it ends.
-
-    From behind the face the edge on that side of the wall is nearer, in about the same direction, and echoes first. A
-    point at the end of a face may be the corner of a box, which is seen from beside the face as well, unless there is
-    another one in its plane at the distance of a door.
-    """
-    state, (low, high) = estimate.state, estimate.extents.T
-    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-    along = state.points[:, 1:] * c - state.points[:, :1] * s
-    on_line = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
-    growth = growth_of(estimate.extents)
-    on_line &= (estimate.sides != 0.0) & (along > low - growth) & (along < high + growth)
-    # 1. Points (v, w) at the ends, and the others.
-    at_low, at_high = on_line & (np.abs(along - low) < END_IN), on_line & (np.abs(along - high) < END_IN)
-    # 2. Openings of the width of a door beyond the ends.
-    to_low, to_high = low - along, along - high
-    before = (on_line & (to_low > MIN_DOOR_IN) & (to_low < MAX_DOOR_IN)).any(axis=0)
-    after = (on_line & (to_high > MIN_DOOR_IN) & (to_high < MAX_DOOR_IN)).any(axis=0)
-    points, faces = np.nonzero((on_line & ~at_low & ~at_high) | (at_low & before) | (at_high & after))
+    ends = onward * (1.0, -1.0)
+    reach = (ends[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
+    is_inner = (on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
+    # 3. Edges: not at an end (v, w, 2), or with another point beyond that end, at the distance of a door.
+    at_end = np.abs(onward) < END_IN
+    is_across = on_wall[..., None] & (onward > MIN_DOOR_IN) & (onward < MAX_DOOR_IN)
+    is_edge = ~at_end.any(axis=-1) | (at_end & is_across.any(axis=0)).any(axis=-1)
+    points, faces = np.nonzero(on_wall & (estimate.sides != 0.0) & (is_inner | is_edge))
     return points, faces
 
 

@@ -95,7 +95,7 @@ MAX_CONTACTS: Final = 3
 REACHED_IN: Final = 2.0
 NEAR_END_IN: Final = 1.0
 """Nearer to its end a leg is done."""
-TURNED_RAD: Final = 0.12
+LEG_TURNED_RAD: Final = 0.12
 """A turn in place ends within this heading error, which leads 0.27 in aside."""
 ROUNDED_IN, ROUNDED_SPACE_IN = 4.0, 2.0
 """Arcs pass corners of a path within this, and leave so much space beside the body."""
@@ -280,7 +280,7 @@ class _Leg:
                 # A section is driven backwards rather than after a large turn.
                 turn = angle_difference(float(pose[2]), self._sections[0].at(0.0).heading_rad)
                 self._back = pi if abs(turn) > REVERSE_RAD else 0.0
-                self._follower = PathFollower(self._sections[:1], self._limits, TURNED_RAD)
+                self._follower = PathFollower(self._sections[:1], self._limits, LEG_TURNED_RAD)
             speed, steering = self._follower.command(np.array((pose[0], pose[1], pose[2] + self._back)))
             # The last fractions of an inch would take longest.
             is_near = len(self._sections) == 1 and dist(self.goal, pose[:2]) < NEAR_END_IN

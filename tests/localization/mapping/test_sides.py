@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
-from localization.mapping.association import MapEstimate, _edges_of_faces, _inner_corners, _runs, assign
+from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign
 from localization.mapping.consistency import compare_returns
 from localization.mapping.learn import part_points
 from localization.mapping.problem import (
@@ -47,11 +47,11 @@ def test_nothing_is_assigned_to_a_face_from_its_back(estimate: MapEstimate) -> N
 def corners_of(
     walls: Floats, extents: Floats, sides: Floats, points: Floats, like: MapEstimate
 ) -> set[tuple[int, int]]:
-    """Return the pairs of a point and a face that `_inner_corners` finds in a made-up map."""
+    """Return the pairs of a point and a face that `_hidden_points` finds in a made-up map."""
     made = like.copy()
     made.state = replace(like.state, walls=walls, points=points)
     made.extents, made.sides = extents, sides
-    return set(zip(*(indices.tolist() for indices in _inner_corners(made)), strict=True))
+    return set(zip(*(indices.tolist() for indices in _hidden_points(made)), strict=True))
 
 
 @pytest.mark.parametrize(("other", "hides"), [
@@ -93,12 +93,12 @@ def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
     points = np.concatenate((points, [(9.5 * c - 50.0 * s, 9.5 * s + 50.0 * c)]))
     made.state = replace(estimate.state, walls=np.array([(turn, 5.0)]), points=points)
     made.extents, made.sides = np.array([(0.0, 100.0)]), np.array([-1.0])
-    found, faces = _edges_of_faces(made)
+    found, faces = _hidden_points(made)
     assert {at[point] for point in found.tolist()} == hidden
     assert not faces.any()
     # A wall that was measured from both sides hides nothing.
     made.sides = np.zeros(1)
-    assert not len(_edges_of_faces(made)[0])
+    assert not len(_hidden_points(made)[0])
 
 
 def test_path_opens_the_wall_that_it_crosses() -> None:
