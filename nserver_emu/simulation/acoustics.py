@@ -113,8 +113,7 @@ class Surfaces:
 
 
 def _level_in(breaks_in: FloatArray, levels_in: FloatArray, along_in: FloatArray) -> FloatArray:
-    levels: FloatArray = levels_in[np.searchsorted(breaks_in, along_in, side="right") - 1]
-    return levels
+    return levels_in[np.searchsorted(breaks_in, along_in, side="right") - 1]
 
 
 def _poisson_points(length_in: float, spacing_in: float, rng: np.random.Generator) -> FloatArray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise, starmap
+from itertools import pairwise, starmap, takewhile
 from math import tau
 from typing import TYPE_CHECKING, Any, Final
 
@@ -233,9 +233,7 @@ class BatchSimulation:
 
     def configure_sonars(self, rate: int, order: Sequence[int]) -> None:
         """Restart all rings at rate x 4 ms per sonar, one at a time; the first fires now. C: conf_sn."""
-        count = self.model.body.ring.count
-        end = next((at for at, number in enumerate(order) if not 0 <= number < count), len(order))
-        firing = [(number,) for number in order[:end]]
+        firing = [(number,) for number in takewhile(range(self.model.body.ring.count).__contains__, order)]
         _set_order(self._settings, firing, min(max(rate, 1), MAX_RATE) * TICK_PS)
         self._start_rings(self._mask(None), False)
 
@@ -256,8 +254,7 @@ class BatchSimulation:
     @property
     def time_s(self) -> FloatArray:
         """Simulated time of each robot since it was reset (n,)."""
-        seconds: FloatArray = self._robots["time_ps"] / PS_PER_S
-        return seconds
+        return self._robots["time_ps"] / PS_PER_S
 
     @property
     def actual(self) -> FloatArray:
@@ -275,28 +272,24 @@ class BatchSimulation:
     def ranges_in(self) -> FloatArray:
         """The last reading of each sonar (n, s), inches from the ring; 0 where dead."""
         self._observe()
-        readings: FloatArray = self._robots["readings_in"].copy()
-        return readings
+        return self._robots["readings_in"].copy()
 
     @property
     def bumpers(self) -> npt.NDArray[np.int64]:
         """Pressed bumpers as bits (n,): bit i is set while bumper i touches something."""
         self._observe()
-        bits: npt.NDArray[np.int64] = self._robots["bumpers"].copy()
-        return bits
+        return self._robots["bumpers"].copy()
 
     @property
     def moving(self) -> npt.NDArray[np.bool_]:
         """True for each axis that moves (n, 3)."""
         spans = self._robots["spans"]
-        is_moving: npt.NDArray[np.bool_] = spans[:, :, 0] < spans[:, :, 1]
-        return is_moving
+        return spans[:, :, 0] < spans[:, :, 1]
 
     @property
     def timed_out(self) -> npt.NDArray[np.bool_]:
         """True for each robot that the time-out has stopped since its last command (n,)."""
-        stopped: npt.NDArray[np.bool_] = self._robots["has_timed_out"].copy()
-        return stopped
+        return self._robots["has_timed_out"].copy()
 
     @property
     def bytes_per_robot(self) -> float:

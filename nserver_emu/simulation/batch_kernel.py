@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 from collections.abc import Callable
 from functools import cache, wraps
 from inspect import isfunction
@@ -42,7 +43,7 @@ from nserver_emu.simulation.odometry import disturbed_segment, erroneous_segment
 from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegment, wrap_to_2pi
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
-from worlds.compiled import checksum, compile_function, make_compilable
+from worlds.compiled import checksum, compile_function, functions_of, make_compilable
 from worlds.geometry import FloatArray
 from worlds.raycast import ON_LINE_IN, ON_WALL_IN, mean_ahead, nearest_wall
 from worlds.rings import MAX_SONARS, quantized_range
@@ -654,20 +655,6 @@ def _smallest(values: FloatArray, begin: int, end: int) -> float:
 _SOURCES: Final[tuple[ModuleType, ...]] = (acoustics, axis, collision, drive, odometry, segments, sonar, raycast, rings)
 """Modules whose functions are compiled where the loops call them."""
 
-_FUNCTIONS: Final[tuple[Callable[..., Any], ...]] = (
-    acoustics.range_std_in, axis.plan_velocity, axis.plan_distance, axis._ramp, axis._ramp_phase, axis.phase_now,
-    axis.advance_phases, standard_normal, _tail, _uniform,
-    next_word, _high_word, collision.find_contact, collision._first_touched,
-    collision._solve, collision._to_circle, collision._length, collision.touched_bumpers, drive.axis_rates,
-    drive.path_segment, drive.until_reversal, odometry._walk_std, odometry.disturbed_segment,
-    odometry.erroneous_segment, segments._sinc, segments.wrap_to_2pi, segments.wrap_to_pi, sonar.noisy_range,
-    sonar.shifted, raycast.nearest_wall, raycast.intersect, raycast.mean_ahead, rings.quantized_range,
-    _command, _start_ring, _advance, _move_at,
-    _move_by, _begin, _now, _after, _advance_axis, _halt, _segment, _advance_drive, _turret_after,
-    _turret_direction, _move, _follow, _turn_uncounted, _contact, _walls_within, _bumpers, _fire_along, _fire_due,
-    _fire_entry, _skip_entry, _fire, _measure, _read, _range_from_axis,
-)  # fmt: skip
-
 _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Capsule, Contact, PlacedSegment)
 """Named tuples whose methods are compiled where the loops call them."""
 
@@ -675,7 +662,9 @@ _CLASSES: Final[tuple[type, ...]] = (ConstantAccelerationSegment, AxisRate, Caps
 @cache
 def load_loops() -> Loops:
     """Return the compiled loops: compiled at the first call of each, or read from numba's cache."""
-    make_compilable(_FUNCTIONS)
+    # All but `_smallest`, which is compiled with options of its own.
+    functions = functions_of(*_SOURCES, sys.modules[__name__])
+    make_compilable(function for function in functions if function is not _smallest)
     for kind in _CLASSES:
         for name, method in vars(kind).items():
             if isfunction(method) and not name.startswith("__"):

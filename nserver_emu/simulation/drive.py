@@ -95,10 +95,13 @@ class SynchroDrive:
         Angle of the bumpers against the body's yaw: 0, because the body does not turn.
     in_inches
         True for each axis that counts inches; the others count radians.
+    track_in
+        NO_TRACK: the axes are not wheels side by side.
     """
 
     bumper_frame_rad = 0.0
     in_inches = (True, False, False)
+    track_in = NO_TRACK
 
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool) -> None:
         self.translation, self.steering, self.turret = (Axis(limit, ramps) for limit in limits)
@@ -180,8 +183,8 @@ class DifferentialDrive:
 
     Attributes
     ----------
-    heading_rad
-        Mechanical heading, unwrapped; steering, turret and the frame of the bumpers are this one angle.
+    steering_rad, turret_rad, bumper_frame_rad
+        One angle, the mechanical heading, unwrapped: there is no turret, and the bumpers turn with the body.
     in_inches
         True for each axis that counts inches; the third axis does not exist.
     """
@@ -191,22 +194,14 @@ class DifferentialDrive:
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool, track_in: float) -> None:
         self.right, self.left, self._none = (Axis(limit, ramps) for limit in limits)
         self.track_in = track_in
-        self.heading_rad = 0.0
-
-    @property
-    def steering_rad(self) -> float:
-        """The heading."""
-        return self.heading_rad
+        self.steering_rad = 0.0
 
     @property
     def turret_rad(self) -> float:
-        """The heading: there is no turret."""
-        return self.heading_rad
+        """The heading."""
+        return self.steering_rad
 
-    @property
-    def bumper_frame_rad(self) -> float:
-        """The heading: bumpers turn with the body."""
-        return self.heading_rad
+    bumper_frame_rad = turret_rad
 
     @property
     def axes(self) -> tuple[Axis, Axis, Axis]:
@@ -243,13 +238,13 @@ class DifferentialDrive:
 
     def advance(self, dt_s: float) -> float:
         """Advance both wheels by dt_s seconds and return the turn of the turret: 0, there is none."""
-        self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
+        self.steering_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
         return 0.0
 
     def turret_after(self, dt_s: float) -> float:
         """Return the heading dt_s >= 0 seconds from now, if no wall stops the robot."""
         apart_in = self.right.displacement_after(dt_s) - self.left.displacement_after(dt_s)
-        return self.heading_rad + apart_in / self.track_in
+        return self.steering_rad + apart_in / self.track_in
 
     def block(self) -> None:
         """Stop both wheels, because something is in front of the robot."""
@@ -264,7 +259,7 @@ class DifferentialDrive:
     def set_angles(self, steering_rad: float, turret_rad: float) -> None:
         """Set the heading, as by hand; current motions continue from there."""
         del turret_rad
-        self.heading_rad = steering_rad
+        self.steering_rad = steering_rad
 
     def seek_zero(self) -> None:
         """Stop the wheels: nothing can turn to a zero position."""
@@ -399,13 +394,10 @@ class Chassis:
         self._surveyed_in -= distance
         return dx, dy
 
-    def turn(self, angle_rad: float) -> None:
-        """Turn the whole body."""
-        self._yaw_rad += angle_rad
-
-    def turn_turret(self, angle_rad: float) -> None:
-        """Turn the turret in addition to what its encoder counts."""
-        self._lag_rad += angle_rad
+    def turn(self, body_rad: float, turret_rad: float = 0.0) -> None:
+        """Turn the whole body, and the turret in addition to what its encoder counts."""
+        self._yaw_rad += body_rad
+        self._lag_rad += turret_rad
 
     def finish_zero(self) -> None:
         """Set the turret's lag to 0: its sensor has found the zero position."""

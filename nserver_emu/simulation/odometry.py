@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.drive import NO_TRACK, DifferentialDrive, Drive, axis_rates, path_segment
+from nserver_emu.simulation.drive import NO_TRACK, Drive, axis_rates, path_segment
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi
 from nserver_emu.simulation.settings import setting
 
@@ -156,8 +156,7 @@ class Odometry:
         """Return the true motion for a commanded one; the same object if there is no error."""
         if self.scales[:2] == (1.0, 1.0) and self.drifts == (0.0, 0.0):
             return segment
-        track_in = drive.track_in if isinstance(drive, DifferentialDrive) else NO_TRACK
-        return erroneous_segment(segment, track_in, self.scales, self.drifts)
+        return erroneous_segment(segment, drive.track_in, self.scales, self.drifts)
 
 
 def erroneous_segment(segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float],

@@ -18,7 +18,7 @@ import numpy as np
 
 from nserver_emu.simulation import segments, sensors
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
-from nserver_emu.simulation.collision import WallSet
+from nserver_emu.simulation.collision import PlacedSegment, WallSet
 from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.multi_robot import STATIONARY, Disc, SweptBounds
@@ -143,7 +143,9 @@ class SimulatedRobot:
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, WallSet(walls), start.x_in, start.y_in)
         self._has_exact_motion = setup.has_exact_motion
-        self._trajectory: list[segments.PathSegment] | None = None
+        # Pieces of the true path since `start_trajectory`: when each begins, and the seconds until the robot was
+        # blocked; afterwards it stands.
+        self._trajectory: list[tuple[int, PlacedSegment, float]] | None = None
         # Sensors, each with a random stream of its own.
         self._rngs = tuple(rng_factory.stream(purpose) for purpose in Purpose)
         self.sonar = SonarRing(model.body, setup.sonar, walls, self._rngs[Purpose.SONAR], rng_factory.seed)
@@ -372,7 +374,7 @@ class SimulatedRobot:
         taken_s = free_s if is_blocked else duration
         if self._trajectory is not None:
             begin_ps = self._time_ps + round(begin_s * PS_PER_S)
-            self._trajectory.append(segments.PathSegment(begin_ps, *chassis.position, heading, actual, free_s))
+            self._trajectory.append((begin_ps, PlacedSegment(*chassis.position, heading, actual), free_s))
         # 3. Sonars, then the chassis and the encoders. Without errors both move by the same numbers.
         self._emit_along(segment, begin_s, taken_s)
         displacement = chassis.follow(actual, free_s, steering_rad)
@@ -392,8 +394,7 @@ class SimulatedRobot:
 
     def _turn_uncounted(self, body_rad: float, counted_rad: float) -> None:
         """Turn the body by an angle that no encoder counts, and the turret by the error of its gears."""
-        self._chassis.turn(body_rad)
-        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)
+        self._chassis.turn(body_rad, (self.setup.odometry.scales[2] - 1.0) * counted_rad)
 
     # Observation
 
@@ -428,10 +429,9 @@ class SimulatedRobot:
         # Before the first segment of a span the robot stands.
         if not self._trajectory:
             return self.disc
-        for piece in reversed(self._trajectory):
-            if piece.begin_ps <= instant_ps:
-                break
-        x, y = piece.position((instant_ps - piece.begin_ps) / PS_PER_S)
+        begun = (piece for piece in reversed(self._trajectory) if piece[0] <= instant_ps)
+        begin_ps, placed, free_s = next(begun, self._trajectory[0])
+        x, y = placed.position(min(max((instant_ps - begin_ps) / PS_PER_S, 0.0), free_s))
         return x, y, self.model.body.radius_in
 
     def max_travel_in(self, span_s: float) -> float:

@@ -153,28 +153,6 @@ AT_REST: Final = ConstantAccelerationSegment(0.0, 0.0, 0.0, 0.0, 0.0)
 """The segment of a `MotionSegment` of which only the start is used."""
 
 
-class PathSegment(NamedTuple):
-    """A piece of a robot's trajectory: from an instant and a true pose along a segment.
-
-    `free_s`: seconds until the robot was blocked; afterwards it stands.
-    """
-
-    begin_ps: int
-    x_in: float
-    y_in: float
-    heading_rad: float
-    segment: ConstantAccelerationSegment
-    free_s: float
-
-    def position(self, time_s: float) -> tuple[float, float]:
-        """Return (x, y) in inches, `time_s` after the start; before it, the start."""
-        _, x, y, heading, segment, free_s = self
-        if time_s <= 0.0:
-            return x, y
-        dx, dy = segment.displacement(heading, time_s if time_s < free_s else free_s)
-        return x + dx, y + dy
-
-
 Velocities = tuple[float, float, float]
 """Velocities as the encoders show them, in the order of the axes: translation in/s, steering rad/s, turret rad/s; of a
 differential drive right wheel in/s, left wheel in/s, 0."""

@@ -33,6 +33,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import takewhile
 from math import cos, floor, inf, radians, sin, tau
 from typing import Final, NamedTuple
 
@@ -310,9 +311,7 @@ class InfraredRing:
         The others keep their readings; without any sensor the ring is off. It flashes now, and every 60 ms.
         """
         self._compute_pending()
-        # The order ends at the first number that is not a sensor.
-        end = next((at for at, number in enumerate(order) if not 0 <= number < INFRAREDS), len(order))
-        self._order = tuple(order[:end])
+        self._order = tuple(takewhile(range(INFRAREDS).__contains__, order))
         self._history = min(max(history, 0), MAX_HISTORY)
         self.due_ps = now_ps if self._order else TIME_MAX_PS
 

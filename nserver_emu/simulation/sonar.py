@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from math import cos, inf, sin
 from typing import Final, NamedTuple
 
@@ -236,9 +237,8 @@ class SonarRing:
             Sonar numbers; ends at the first that is not one (255 by convention). Without any the ring is off, and the
             readings remain.
         """
-        # The order ends at the first number that is not a sonar.
-        end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < self._ring.count), len(order))
-        self._restart(tuple((sonar,) for sonar in order[:end]), min(max(rate, 1), MAX_RATE) * TICK_PS, now_ps)
+        sonars = takewhile(range(self._ring.count).__contains__, order)
+        self._restart(tuple((sonar,) for sonar in sonars), min(max(rate, 1), MAX_RATE) * TICK_PS, now_ps)
 
     def restart(self, now_ps: int) -> None:
         """Restart the ring with the order and the interval that its model gives."""

@@ -94,18 +94,18 @@ def displacement_of(wheels: DifferentialDrive, span_s: float) -> tuple[float, fl
     # Follow the segments until the time is over.
     while span_s > 1e-12:
         segment = wheels.segment(span_s)
-        dx, dy = segment.displacement(wheels.heading_rad, segment.duration_s)
+        dx, dy = segment.displacement(wheels.steering_rad, segment.duration_s)
         x, y = x + dx, y + dy
-        assert wheels.heading_rad + segment.turn_at(segment.duration_s) == pytest.approx(
+        assert wheels.steering_rad + segment.turn_at(segment.duration_s) == pytest.approx(
             advanced(wheels, segment.duration_s), abs=1e-9
         )
         span_s -= segment.duration_s
-    return x, y, wheels.heading_rad
+    return x, y, wheels.steering_rad
 
 
 def advanced(wheels: DifferentialDrive, span_s: float) -> float:
     wheels.advance(span_s)
-    return wheels.heading_rad
+    return wheels.steering_rad
 
 
 def marched(right: float, left: float, span_s: float, ramp: float, steps: int = 20000) -> tuple[float, float, float]:
@@ -194,4 +194,4 @@ def test_a_scout_has_no_zero_to_seek() -> None:
     wheels.seek_zero()
     wheels.finish_zero()
     assert not any(axis.moving for axis in wheels.axes)
-    assert degrees(wheels.heading_rad) == pytest.approx(30.0)
+    assert degrees(wheels.steering_rad) == pytest.approx(30.0)
