@@ -122,6 +122,8 @@ class Allowed:
 
 
 ALL_AXES: Final = (0, 1, 2)
+# The arm, after the axes in the list of a robot's owners. It counts as moving.
+ARM: Final = 3
 
 
 class AxisOwnership:
@@ -132,43 +134,29 @@ class AxisOwnership:
     """
 
     def __init__(self) -> None:
-        # Owner of each of the three axes; None for an axis without commands.
+        # Owner of each of the three axes, and of the arm; None without commands.
         self._owners: dict[int, list[ConnectionContext | None]] = {}
-        self._arm_owners: dict[int, ConnectionContext] = {}
         # Robots of a restored simulation that no connection has claimed yet.
         self._unowned: set[int] = set()
 
     def claim(self, context: ConnectionContext, robot_id: int, axes: Iterable[int]) -> None:
-        """Make a connection the owner of these axes."""
-        owners = self._owners.setdefault(robot_id, [None] * len(ALL_AXES))
+        """Make a connection the owner of these axes, or of the ARM."""
+        owners = self._owners.setdefault(robot_id, [None] * (ARM + 1))
         for axis in axes:
             owners[axis] = context
-
-    def claim_arm(self, context: ConnectionContext, robot_id: int) -> None:
-        """Make a connection the owner of a robot's arm."""
-        self._arm_owners[robot_id] = context
-
-    def release_arms(self, context: ConnectionContext) -> list[int]:
-        """End the ownership of arms by a closed connection; return the robots."""
-        robot_ids = [robot_id for robot_id, owner in self._arm_owners.items() if owner is context]
-        for robot_id in robot_ids:
-            del self._arm_owners[robot_id]
-        return robot_ids
 
     def release_all(self, robot_ids: Iterable[int]) -> None:
         """Remove all owners: these robots come from a snapshot, and their connections do not exist any more."""
         self._owners.clear()
-        self._arm_owners.clear()
         self._unowned = set(robot_ids)
 
     def claim_unowned(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> None:
-        """Give the axes that still move after a restore to the first connection to their robot."""
+        """Give the axes that still move after a restore, and the arm, to the first connection to their robot."""
         if robot_id not in self._unowned:
             return
         self._unowned.discard(robot_id)
-        self._arm_owners.setdefault(robot_id, context)
-        owners = self._owners.get(robot_id, [None] * len(ALL_AXES))
-        self.claim(context, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and owners[axis] is None])
+        owners = self._owners.get(robot_id, [None] * (ARM + 1))
+        self.claim(context, robot_id, [axis for axis, owner in _moving(robot, owners) if owner is None])
 
     def may_feed_watchdog(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> bool:
         """Return True if a request of this connection restarts the robot's command timeout (conf_tm).
@@ -176,30 +164,37 @@ class AxisOwnership:
         It does if the connection owns a moving axis or the arm, or if there is no owner.
         """
         # 1. The usual case: no other connection has commanded this robot.
-        axis_owners, arm_owner = self._owners.get(robot_id, ()), self._arm_owners.get(robot_id)
-        others = [owner for owner in (*axis_owners, arm_owner) if owner is not None and owner is not context]
-        if not others:
+        owners = self._owners.get(robot_id, [])
+        if all(owner is None or owner is context for owner in owners):
             return True
         # 2. Otherwise the owners of what moves.
-        owners = [owner for owner, moves in zip(axis_owners, robot.moving, strict=False) if moves and owner is not None]
-        if arm_owner is not None:
-            owners.append(arm_owner)
-        return not owners or any(owner is context for owner in owners)
+        found = [owner for _, owner in _moving(robot, owners) if owner is not None]
+        return not found or any(owner is context for owner in found)
 
     def has_motion(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> bool:
         """Return True if closing this connection would stop an axis, or could stop an arm."""
-        moving = (owner is context and moves for robot_id, owners in self._owners.items()
-                  for owner, moves in zip(owners, robots[robot_id].moving, strict=True))
-        return any(owner is context for owner in self._arm_owners.values()) or any(moving)
+        return any(owner is context for robot_id, owners in self._owners.items()
+                   for _, owner in _moving(robots[robot_id], owners))
 
-    def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
-        """Stop the axes that a closed connection owns."""
+    def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> list[int]:
+        """Stop the axes that a closed connection owns; return the robots whose arms it owns, to be stopped."""
+        arms = []
         for robot_id, owners in self._owners.items():
-            robot = robots[robot_id]
-            for axis in (axis for axis in ALL_AXES if owners[axis] is context):
-                owners[axis] = None
-                if robot.moving[axis]:
-                    robot.stop_axis(axis)
+            for axis in [axis for axis, owner in _moving(robots[robot_id], owners) if owner is context]:
+                if axis == ARM:
+                    arms.append(robot_id)
+                else:
+                    robots[robot_id].stop_axis(axis)
+            self._owners[robot_id] = [None if owner is context else owner for owner in owners]
+        return arms
+
+
+def _moving(robot: SimulatedRobot,
+            owners: Sequence[ConnectionContext | None]) -> Iterator[tuple[int, ConnectionContext | None]]:
+    """Yield the moving axes of a robot, and the ARM, with their owners."""
+    for axis, (owner, is_moving) in enumerate(zip(owners, (*robot.moving, True), strict=True)):
+        if is_moving:
+            yield axis, owner
 
 
 # The State vector.
@@ -598,8 +593,6 @@ class ServerState:
         """Simulated milliseconds since the start."""
         return clock_ms(self.simulation.time_s)
 
-    # Deferred replies.
-
     # Connections.
 
     def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
@@ -668,8 +661,7 @@ class ServerState:
         self.invalidate_state_cache()
         self.deferred.cancel(context)
         self.pose_requests.cancel(context)
-        self.axis_ownership.on_disconnect(context, self.simulation.robots)
-        for robot_id in self.axis_ownership.release_arms(context):
+        for robot_id in self.axis_ownership.on_disconnect(context, self.simulation.robots):
             self.stop_arm(robot_id)
 
     def hold(self, robot_id: int, by: str, *, is_silent: bool = False) -> None:

@@ -18,7 +18,7 @@ from nclient.protocol.client_state import READ, RESTART, RING_PACKET, pack_ring
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.replies import Reply
 from nserver_emu.server.graphics import Figure, Utterance
-from nserver_emu.server.server_state import ServerState, robot_clock_ms
+from nserver_emu.server.server_state import ARM, ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.axis import Arm, Command
 
@@ -87,7 +87,7 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_PER_INCH)
     if not _MOTIONS.isdisjoint(modes):
-        server.axis_ownership.claim_arm(context, context.robot)
+        server.axis_ownership.claim(context, context.robot, [ARM])
     return _packet(MOVE_PACKET, _SUCCEEDED)
 
 
@@ -96,7 +96,7 @@ def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     server.arm_of(context).zero()
-    server.axis_ownership.claim_arm(context, context.robot)
+    server.axis_ownership.claim(context, context.robot, [ARM])
     return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _awaited_arm(server, context).is_still() else None
 
 
