@@ -132,7 +132,6 @@ WORDS: Final = "WORDS"
 TIMEOUT_S: Final = 30.0
 URGENT_TIMEOUT_S: Final = 5.0
 _URGENT: Final = frozenset({"stop", "status"})
-_CHUNK: Final = 65536
 _GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
 
 
@@ -189,21 +188,13 @@ def request(path: Path, name: str, argument: object = None) -> dict[str, Any]:
 
 def _read_response(connection: socket.socket, path: Path) -> bytes:
     """Read a whole line. Raise ConnectionLost, or OSError of the socket."""
-    response = b""
-    while not response.endswith(b"\n"):
-        piece = connection.recv(_CHUNK)
-        if not piece:
-            raise ConnectionLost(f"the nserver at {path} closed the connection; its stderr has the reason")
-        response += piece
-        if len(response) > MAX_LINE:
-            raise ConnectionLost(f"the response from {path} is too long: is it an nserver?")
+    with connection.makefile("rb") as stream:
+        response = stream.readline(MAX_LINE + 1)
+    if len(response) > MAX_LINE:
+        raise ConnectionLost(f"the response from {path} is too long: is it an nserver?")
+    if not response.endswith(b"\n"):
+        raise ConnectionLost(f"the nserver at {path} closed the connection; its stderr has the reason")
     return response
-
-
-def _rows(rows: dict[str, str]) -> Iterator[str]:
-    width = max(map(len, rows))
-    for left, right in rows.items():
-        yield f"{left:{width}}  {right}"
 
 
 def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, str | None]:
@@ -241,7 +232,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    listed = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
+    rows = {f"{row.name} {row.argument}".strip(): row.about for row in COMMANDS}
+    width = max(map(len, rows))
+    listed = "\n".join(f"  {usage:{width}}  {about}" for usage, about in rows.items())
     parser = Parser(
         prog="nserver ctl",
         usage="nserver ctl [-h] [--control PATH] [--json] COMMAND [ARGUMENT]",

@@ -29,6 +29,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -164,13 +165,8 @@ def _injected(faults: FaultController) -> dict[str, int]:
 # Simulated time.
 
 
-def _pause(server: Daemon, _: object) -> JsonObject:
-    server.emulator.clock.paused = True
-    return _time(server)
-
-
-def _resume(server: Daemon, _: object) -> JsonObject:
-    server.emulator.clock.paused = False
+def _set_paused(server: Daemon, _: object, *, is_paused: bool) -> JsonObject:
+    server.emulator.clock.paused = is_paused
     return _time(server)
 
 
@@ -364,8 +360,8 @@ COMMANDS: Final = (
                    _change_of("door", runtime_settings.DOOR_USAGE, runtime_settings.door_words)),
     ControlCommand("walker", "JSON", "add (put), move (by, to) or remove a person who walks along a route",
                    _change_of("walker", runtime_settings.WALKER_USAGE)),
-    ControlCommand("pause", "", "pause simulated time", _pause),
-    ControlCommand("resume", "", "resume simulated time", _resume),
+    ControlCommand("pause", "", "pause simulated time", partial(_set_paused, is_paused=True)),
+    ControlCommand("resume", "", "resume simulated time", partial(_set_paused, is_paused=False)),
     ControlCommand("speed", "X", f"set simulated seconds per second, or {MAX_SPEED}", _speed),
     ControlCommand("step", "SECONDS", "advance simulated time at once", _step),
     ControlCommand("stop", "[ROBOT]", "stop a robot, or all, and ignore motion commands until it is released", _stop),

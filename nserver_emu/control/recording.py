@@ -41,8 +41,9 @@ import itertools
 import logging
 import os
 import threading
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from hashlib import file_digest
 from pathlib import Path
 from typing import Any, Final
@@ -248,10 +249,8 @@ class RunHeader:
         # The configuration decides the kind of the emulator; a snapshot then replaces its state.
         emulator = Emulator(self.config.simulation(), clock=replace(self.clock), allowed=self.allowed)
         if self.restored:
-            if self.snapshot_text:
-                snapshot.loads(emulator, self.snapshot_text, str(self.restored))
-            else:
-                snapshot.restore(emulator, self.restored)
+            text = self.snapshot_text or snapshot.text_of(self.restored)
+            snapshot.loads(emulator, text, str(self.restored))
             emulator.clock = emulator.clock if self.keeps_pace else replace(self.clock)
         return emulator
 
@@ -357,8 +356,15 @@ class ReplayResult:
     difference: str = ""
 
 
-class _NeverOpened(Exception):
-    """An entry belongs to a connection that is not open."""
+@contextlib.contextmanager
+def _invalid_as(place: str, what: str, remedy: str = "") -> Iterator[None]:
+    """Turn errors that values cause which no server writes into RecordingError; NomadErrors pass."""
+    try:
+        yield
+    except NomadError:
+        raise
+    except _INVALID as error:
+        raise RecordingError(f"{place}: {what} ({error!r:.80}){remedy}") from None
 
 
 def replay(recording: Recording) -> ReplayResult:
@@ -370,29 +376,13 @@ def replay(recording: Recording) -> ReplayResult:
         If the recording cannot be replayed; other NomadErrors of a server's start and of control commands.
     """
     # 1. The emulator.
-    try:
-        replayer = _create_replayer(recording)
-    except NomadError:
-        raise
-    except _INVALID as error:
-        raise RecordingError(
-            f"{recording.name}, line 1: no valid description of the simulation ({error!r:.80})"
-        ) from None
+    with _invalid_as(f"{recording.name}, line 1", "no valid description of the simulation"):
+        follow = _follower(recording)
     # 2. Each entry, up to the first difference.
     answers = size = 0
     for entry in recording.entries:
-        try:
-            reply = replayer.follow(entry)
-        except _NeverOpened:
-            raise RecordingError(
-                f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
-            ) from None
-        except NomadError:
-            raise
-        except _INVALID as error:
-            raise RecordingError(
-                f"{recording.name}, line {entry.line}: not an entry of a server ({error!r:.80}); remove it"
-            ) from None
+        with _invalid_as(f"{recording.name}, line {entry.line}", "not an entry of a server", "; remove it"):
+            reply = follow(entry)
         if reply != entry.data and entry.kind == IN:
             return ReplayResult(answers, size, _difference(recording, entry, reply))
         answers += entry.kind == IN and bool(reply)
@@ -400,16 +390,17 @@ def replay(recording: Recording) -> ReplayResult:
     return ReplayResult(answers, size)
 
 
-def _create_replayer(recording: Recording) -> _ServerReplayer | _InProcessReplayer:
+def _follower(recording: Recording) -> Callable[[Entry], bytes]:
+    """Return the function that does what an entry says with a new emulator, and returns the reply."""
     header = recording.header
     if header.get("real_robots"):
         raise RecordingError(f"{recording.name}: recorded with real robots, which no emulator can repeat; use "
                              f"`nomad play` to send the recorded replies")
     if header.get("by") == SERVER:
-        return _ServerReplayer(recording)
+        return _ServerReplayer(recording).follow
     address = str(header.get("address", ""))
     if address.startswith(f"{SCHEME}:"):
-        return _InProcessReplayer(open_address(address))
+        return partial(_follow_in_process, open_address(address))
     raise RecordingError(f"{recording.name}: recorded at {address or 'an unknown address'}, which no emulator can "
                          "repeat; use `nomad play` to send the recorded replies")
 
@@ -420,6 +411,7 @@ class _ServerReplayer:
     def __init__(self, recording: Recording) -> None:
         self._emulator = RunHeader.from_json(recording.header, recording.name).create_emulator()
         self._emulator.port = recording.header["port"]
+        self._name = recording.name
         self._max_requests = recording.header["requests_a_turn"]
         self._sessions: dict[str, BaseSession[Any]] = {}
         self._greetings: dict[str, bytes] = {}
@@ -474,7 +466,7 @@ class _ServerReplayer:
     def _session(self, entry: Entry) -> BaseSession[Any]:
         session = self._sessions.get(entry.connection)
         if session is None:
-            raise _NeverOpened
+            raise RecordingError(f"{self._name}, line {entry.line}: connection {entry.connection!r} was never opened")
         return session
 
     def _close(self, entry: Entry) -> None:
@@ -532,16 +524,11 @@ def _apply_change(emulator: Emulator, name: str, value: Any) -> None:
             runtime_settings.CHANGES[kind](emulator, value)
 
 
-class _InProcessReplayer:
-    """The emulator of a `sim:` address."""
-
-    def __init__(self, end: InProcess) -> None:
-        self._end = end
-
-    def follow(self, entry: Entry) -> bytes:
-        if entry.kind == OUT:
-            self._end.send(entry.data)
-        return self._end.receive() if entry.kind == IN else b""
+def _follow_in_process(end: InProcess, entry: Entry) -> bytes:
+    """Do what an entry of a client of a `sim:` address says."""
+    if entry.kind == OUT:
+        end.send(entry.data)
+    return end.receive() if entry.kind == IN else b""
 
 
 def _host(name: str) -> str:
