@@ -62,12 +62,12 @@ from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.ros import options as ros_options
 from nserver_emu.ros.options import running_ros
 from nserver_emu.server import admission, config, serial_lines
-from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, limits_of, make_room
+from nserver_emu.server.admission import RESERVED_CONNECTIONS, AdmissionControl, at_port, limits_of, make_room
 from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, read_setups, robot_placements
 from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN, end_task
 from nserver_emu.server.daemon import Daemon, ignore_signals, rare_collection, restored_signals, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_lines import at_port, open_lines
+from nserver_emu.server.serial_lines import open_lines
 from nserver_emu.server.serial_session import FaultController
 from nserver_emu.server.server_state import MAX_LOCKSTEP_S, MAX_TIME_FACTOR, MIN_TIME_FACTOR, Allowed, SimulationClock
 from nserver_emu.simulation.acoustics import FIRST_ECHO, Polaroid
@@ -430,7 +430,8 @@ async def _serve_with(proxies: Mapping[int, RealRobotProxy], setups: config.Lega
     room = make_room(admission.connections + RESERVED_CONNECTIONS + pages)
     admission = replace(admission, connections=min(admission.connections, room))
     daemon.admission = AdmissionControl(admission, allowlist_from_options(options))
-    daemon.places |= real_options.line_addresses(options)
+    if options.real is not None:
+        daemon.places[real_options.LINE] = options.real
     # 3. Signals, before the first port is open.
     stop = asyncio.Event()
     stop_on_signals(stop)

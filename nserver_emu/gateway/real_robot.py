@@ -31,7 +31,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -318,7 +318,7 @@ class Job:
     calls: tuple[Call, ...]
     moves: bool = False
     request: Call | None = None
-    result: JobResult | None = field(default=None)
+    result: JobResult | None = None
 
     @property
     def is_stop(self) -> bool:
@@ -559,19 +559,17 @@ class RobotWorker:
 
     def _cancel_motions(self) -> None:
         # A motion that was queued before a stop must not begin after it.
-        remaining = [job for job in self._queue if not job.moves]
         for job in self._queue:
             if job.moves:
                 job.result = JobResult(code=REFUSED)
-        self._queue = deque(remaining)
+        self._queue = deque(job for job in self._queue if job.result is None)
 
     def _fail_pending(self, *, but_stops: bool = False) -> None:
         with self._changed:
-            remaining = [job for job in self._queue if but_stops and job.is_stop]
             for job in self._queue:
-                if job not in remaining:
+                if not (but_stops and job.is_stop):
                     self._fail(job)
-            self._queue = deque(remaining)
+            self._queue = deque(job for job in self._queue if job.result is None)
             self._pending_refresh = None
 
     def _fail(self, job: Job) -> None:

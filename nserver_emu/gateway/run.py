@@ -25,6 +25,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import MAX_STEP_MS, STEP
 from nserver_emu.server.serial_session import FaultController
 
 log = logging.getLogger(__name__)
@@ -33,9 +34,6 @@ TICK_S: Final = 0.1
 """Interval at which time-outs are checked; results of a robot are processed at once."""
 ROBOT_ID: Final = 1
 """Number of the robot that --real drives."""
-STEP: Final = 4
-"""Verb of sim_control that lets simulated time pass, in ms."""
-MAX_STEP_MS: Final = 60_000
 LINE: Final = f"real:{ROBOT_ID}"
 """Name of the line to it in a plan of faults."""
 SUMMARY_S: Final = 60.0
@@ -170,11 +168,6 @@ def speed_limiter(options: argparse.Namespace) -> Callable[[Backend], Backend]:
     # A limit that is not given is infinite.
     speed, turn = options.max_speed or math.inf, options.max_turn or math.inf
     return lambda backend: SpeedLimiter(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
-
-
-def line_addresses(options: argparse.Namespace) -> dict[str, str]:
-    """Return the address of the real robot by the name of its line."""
-    return {} if options.real is None else {LINE: options.real}
 
 
 class RealTimeSimulation(Wrapper):

@@ -231,6 +231,11 @@ class AdmissionControl:
         log.warning("%s: rejected: %s", host, reason, extra={"address": host})
 
 
+def at_port(host: str, port: int) -> str:
+    """Return HOST:PORT, with an IPv6 address in brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 async def listen(protocol_factory: Callable[[], asyncio.BaseProtocol], host: str, port: int) -> asyncio.Server:
     """Listen on a host and port; at most ACCEPTS_PER_TURN connections are accepted per turn. Raise OSError."""
     loop = asyncio.get_running_loop()
@@ -411,15 +416,11 @@ class ConnectionTimeouts:
 
     idle_s: float
     stall_s: float
-    now_s: float
+    # Time of the last bytes received; set it to reset the idle timeout.
+    active_s: float
     # Since when the connection is stalled, and the requests answered by then.
     _stalled_s: float | None = None
     _answered: int = 0
-    # Time of the last bytes received; set it to reset the idle timeout.
-    active_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.active_s = self.now_s
 
     @property
     def check_interval_s(self) -> float | None:

@@ -90,7 +90,7 @@ class Daemon:
             with contextlib.suppress(ConnectionLost):
                 await self.open_listener(lambda: TcpConnection(self), HOST_NAME_LOOPBACK, port, "--port")
         self.emulator.port = port
-        self.places[TcpConnection.line] = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        self.places[TcpConnection.line] = admission.at_port(host, port)
         return port
 
     async def open_listener(self, new_connection: Callable[[], TcpConnection], host: str, port: int,
@@ -120,11 +120,10 @@ class Daemon:
 
     def _make_room(self, host: str) -> bool:
         """Return True if a new connection is accepted though a limit is reached."""
-        now_s = asyncio.get_running_loop().time()
-        is_accepted = self._reserve.make_room(host, self._tcp_connections(), now_s)
+        loop = asyncio.get_running_loop()
+        is_accepted = self._reserve.make_room(host, self._tcp_connections(), loop.time())
         if is_accepted:
             # A place of the reserve is only for a short time.
-            loop = asyncio.get_running_loop()
             loop.call_later(RESERVED_S, lambda: self._reserve.check(self._tcp_connections(), loop.time()))
         return is_accepted
 

@@ -24,6 +24,7 @@ from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.inject import Language, LineLanguage
 from nclient.protocol.types import Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
+from nserver_emu.server.admission import at_port
 from nserver_emu.server.connection import READ_SIZE, ConnectionHandler, ConnectionState, TcpConnection
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.serial_session import RateLimitedChannel, SerialChannel, SerialSession
@@ -262,11 +263,6 @@ async def open_lines(daemon: Daemon, options: argparse.Namespace) -> list[str]:
     ports = [await _open_robotd(daemon, robot, host, int(port)) for robot, port in _lines(daemon, options.robotd)]
     paths = [_open_serial(daemon, robot, path, options.baud) for robot, path in _lines(daemon, options.serial_link)]
     return [f"listening robotd {port}" for port in ports] + [f"listening serial {path}" for path in paths]
-
-
-def at_port(host: str, port: int) -> str:
-    """Return HOST:PORT, with an IPv6 address in brackets."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _lines(daemon: Daemon, requested: list[RequestedLine]) -> list[tuple[RobotLine, str]]:

@@ -37,8 +37,8 @@ from aiohttp import WSCloseCode, web
 from aiohttp.http import HttpProcessingError
 
 from nclient.errors import ConnectionLost, NomadError
-from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback
-from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, listen
+from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, parse_listen_address
+from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, at_port, listen
 from nserver_emu.server.connection import FairScheduler, TokenBucket, end_task
 
 log = logging.getLogger(__name__)
@@ -104,7 +104,11 @@ def load_tokens(path: Path) -> Tokens:
     try:
         # 1. A missing file is created, readable by its owner from the beginning.
         if not path.exists():
-            return _made(path)
+            tokens = new_tokens()
+            # Permissions are set before the secret is written.
+            path.touch(0o600, exist_ok=False)
+            path.write_text("\n".join(tokens) + "\n")
+            return tokens
         text, state = path.read_text(), path.stat()
     except (OSError, UnicodeDecodeError) as error:
         raise TokenFileError(f"{path}: cannot be used for tokens: {error}") from error
@@ -117,14 +121,6 @@ def load_tokens(path: Path) -> Tokens:
         raise TokenFileError(f"{path}: two different tokens are required, one per line, of 16 to 200 letters, digits, "
                              "- and _; a missing file is created")
     return Tokens(*words)
-
-
-def _made(path: Path) -> Tokens:
-    tokens = new_tokens()
-    # Permissions are set before the secret is written.
-    path.touch(0o600, exist_ok=False)
-    path.write_text("\n".join(tokens) + "\n")
-    return tokens
 
 
 def is_same_origin(origin: str, scheme: str, host: str) -> bool:
@@ -153,14 +149,13 @@ def address(host: str, port: int) -> str:
     For a wildcard host it has the address of the outgoing interface, or loopback where there is none.
     """
     name = _outgoing_address(*_WILDCARDS[host]) if host in _WILDCARDS else host
-    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
+    return f"http://{at_port(name, port)}"
 
 
 def to_loopback(place: str) -> str:
     """Return `HOST:PORT` with loopback in place of a wildcard host, for a client on this machine."""
-    host, _, port = place.rpartition(":")
-    loopback = _WILDCARDS.get(host.strip("[]"), (host, host))[1]
-    return f"[{loopback}]:{port}" if ":" in loopback.strip("[]") else f"{loopback}:{port}"
+    host, port = parse_listen_address(place)
+    return at_port(_WILDCARDS[host][1] if host in _WILDCARDS else host, port)
 
 
 def _outgoing_address(destination: str, loopback: str) -> str:

@@ -25,6 +25,7 @@ from typing import Any, Final, NamedTuple
 from aiohttp import WSMsgType, web
 
 from nclient.transports.listener import LOOPBACK_NAME, is_same_machine
+from nserver_emu.server.admission import at_port
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.viewer import http_port
 from nserver_emu.viewer.classroom import TEACHER, Student
@@ -86,8 +87,8 @@ class ViewerServer:
         port = await self._port.open(app, host, port)
         # 3. The clock that takes pictures; localizers that pages start publish to this port.
         self._port.start_clock(self._tick)
-        place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        self.controller.localizers.page_url = f"http://{http_port.to_loopback(place)}/?token={self.token}"
+        place = http_port.to_loopback(at_port(host, port))
+        self.controller.localizers.page_url = f"http://{place}/?token={self.token}"
         return port
 
     async def close(self) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import AddressError, ConnectionLost
+from nserver_emu.server.admission import at_port
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_lines import add_options, at_port, open_lines, refuse
+from nserver_emu.server.serial_lines import add_options, open_lines, refuse
 from nserver_emu.simulation.models import MODELS
 from tests.nserver_emu.server.line_host import emulated
 from worlds.world import StartPose
