@@ -115,9 +115,9 @@ def _with_entries(setup: LegacySetup, entries: Mapping[tuple[str, str], Entry], 
     if entry := entries.get(("robot", "type")):
         setup = replace(setup, robot=_robot(entry, file))
     if entry := entries.get(("laser", "calibration")):
-        setup = replace(setup, laser_calibration=_numbers(entry, CALIBRATION_NUMBERS, f"{file}", "calibration"))
+        setup = replace(setup, laser_calibration=_numbers(entry, CALIBRATION_NUMBERS, file, "calibration"))
     if entry := entries.get(("laser", "offset")):
-        setup = replace(setup, laser_offset=_numbers(entry, OFFSET_NUMBERS, f"{file}", "offset"))
+        setup = replace(setup, laser_offset=_numbers(entry, OFFSET_NUMBERS, file, "offset"))
     return setup
 
 

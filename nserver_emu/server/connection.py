@@ -94,9 +94,6 @@ class ConnectionState(Enum):
     CLOSED = auto()
 
 
-# Read for every request, where the lookup in the class would cost more than the comparison.
-
-
 class ConnectionHandler(ABC):
     """A connection to the server or to a robot's own line, whatever its transport.
 
@@ -253,7 +250,8 @@ class ConnectionHandler(ABC):
         # 1. Take the bytes of this turn, the oldest ones; the rest waits in the backlog.
         if self._receive_backlog or len(data) > MAX_BYTES_PER_TURN:
             self._receive_backlog += data
-            data = self._next_chunk()
+            size = MAX_BYTES_PER_TURN if self._has_backlog else 0
+            data, self._receive_backlog = self._receive_backlog[:size], self._receive_backlog[size:]
         try:
             # 2. The session finds the requests in them.
             if data:
@@ -276,14 +274,6 @@ class ConnectionHandler(ABC):
                 limit.consume(session.answered - answered_before, self._loop.time())
         # 5. Schedule the next turn if work is left; otherwise read from the port.
         self._schedule()
-
-    def _next_chunk(self) -> bytes:
-        """Take from the backlog what may be processed in this turn."""
-        if not self._has_backlog:
-            return b""
-        chunk = self._receive_backlog[:MAX_BYTES_PER_TURN]
-        self._receive_backlog = self._receive_backlog[MAX_BYTES_PER_TURN:]
-        return chunk
 
     @property
     def _has_backlog(self) -> bool:
@@ -412,15 +402,11 @@ class ConnectionHandler(ABC):
     def _install_faults(self) -> None:
         """Put the fault injector into the channel as soon as a plan acts on this line and no frame is incomplete."""
         faults, line = self._server.faults, self.line
-        if self._has_faults or self._is_mid_request or not faults.acts_on(line):
+        is_mid_request = self.session.unfinished or self._receive_backlog
+        if self._has_faults or is_mid_request or not faults.acts_on(line):
             return
         self._has_faults = True
         self._channel = FaultyChannel(self._language(), lambda: faults.injector(line), self._channel)
-
-    @property
-    def _is_mid_request(self) -> bool:
-        """True if part of a request was received, or bytes wait in the backlog."""
-        return bool(self.session.unfinished or self._receive_backlog)
 
     # Implemented by the transport.
 

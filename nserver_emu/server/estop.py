@@ -130,7 +130,7 @@ class EStop:
 
     def effective_call(self, call: Call, robot_id: int | None) -> Call | None:
         """Return the call to execute instead: the same, st for a motion of a stopped robot, None to refuse it."""
-        hold = self.holds.get(robot_id) if self.holds and robot_id is not None else None
+        hold = self.get(robot_id)
         if hold is None or call.name not in _EXECUTED_AS_STOP | _REFUSED:
             return call
         if call.name == "mv" and not moves(call):

@@ -38,7 +38,7 @@ from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer
-from nclient.protocol.types import BUMPER_SLOT, Model, Stamp, WireState, serial_wire_state
+from nclient.protocol.types import BUMPER_SLOT, Model, WireState, serial_wire_state
 from nserver_emu.server.session import Answer, BaseSession, ConnectionContext
 
 BITS_PER_BYTE: Final = 10
@@ -441,8 +441,6 @@ class SerialSession(BaseSession[SerialFrame]):
 
     def _encode_anew(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
-            reason = f"{name}: error {reply.values[0]}"
-            self._count_refused(reason, reason)
             reply = NAK
         return codec.encode_serial_reply(BY_NAME[name], to_line_units(reply, self.model), self.context.wire_state)
 
@@ -454,13 +452,10 @@ def to_line_units(reply: Reply, model: Model) -> Reply:
         changed[BUMPER_SLOT] = reply.slots[BUMPER_SLOT] | model.bumper_rest
     if not changed and not reply.stamps:
         return reply
-    stamps = {key: _clamp_stamp(stamp) for key, stamp in reply.stamps.items()}
+    stamps = {key: stamp._replace(x=_clamp(stamp.x, _MAX_LONG), y=_clamp(stamp.y, _MAX_LONG))
+              for key, stamp in reply.stamps.items()}
     slots = {**reply.slots, **changed}
     return Reply(reply.kind, slots, reply.laser, stamps, reply.clock, reply.volts, reply.values)
-
-
-def _clamp_stamp(stamp: Stamp) -> Stamp:
-    return stamp._replace(x=_clamp(stamp.x, _MAX_LONG), y=_clamp(stamp.y, _MAX_LONG))
 
 
 def _clamp(number: int, limit: int) -> int:

@@ -47,7 +47,7 @@ from nserver_emu.simulation import segments
 from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
-from nserver_emu.simulation.sensors import LineFit, lines, pixels, points
+from nserver_emu.simulation.sensors import lines, pixels, points
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import World
 
@@ -234,18 +234,10 @@ def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) 
         return (len(rows), *rows)
     found = points(view, robot.model.body)
     if width == types.LINES:
-        found = lines(found, _line_fit(context))
+        found = lines(found, context.line_fit)
     # Rounded as `tenths` does, but in an array: a scan has up to 964 numbers.
     values = np.floor(np.abs(found.ravel()) * 10 + 0.5)
     return (len(found), *np.where(found.ravel() < 0.0, -values, values).astype(int).tolist())
-
-
-def _line_fit(context: ConnectionContext) -> LineFit:
-    """Return the line extraction settings of a connection (conf_sg)."""
-    if context.segments is None:
-        return LineFit()
-    threshold, min_points, gap = context.segments
-    return LineFit(threshold / 10, min_points, gap / 10)
 
 
 # The infrared reading without an obstacle in range.

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
@@ -48,6 +48,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, Mask, WireState, tcp_wire_state
 from nserver_emu.server.admission import Limits
+from nserver_emu.simulation.sensors import LineFit
 
 log = logging.getLogger(__name__)
 
@@ -140,9 +141,8 @@ class ConnectionContext:
     prediction: object = None
     # Number of laser columns in use; 0 is all.
     laser_columns: int = 0
-    # Line extraction of the laser as in conf_sg: threshold and gap (tenths of an inch), minimum number of points in
-    # between. None is the default at power-on.
-    segments: tuple[int, int, int] | None = None
+    # Line extraction of the laser, set by conf_sg.
+    line_fit: LineFit = field(default_factory=LineFit)
     # True while a person holds the robot: word 44 of its state replies is HELD.
     is_held: bool = False
 
@@ -299,6 +299,9 @@ class BaseSession(ABC, Generic[Request]):
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         """Return the bytes of a reply; a cached state is encoded once per command."""
+        if reply.kind == "error":
+            reason = f"{name}: error {reply.values[0]}"
+            self._count_refused(reason, reason)
         cached = self.context.cached_state
         if cached is None or cached.reply is not reply:
             return self._encode_anew(name, reply)
@@ -444,9 +447,6 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
             self.identity = None if robot_id is None else ClientIdentity(robot_id, wide, is_silent)
 
     def _encode_anew(self, name: str, reply: Reply) -> bytes:
-        if reply.kind == "error":
-            reason = f"{name}: error {reply.values[0]}"
-            self._count_refused(reason, reason)
         return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
     def _refuse(self, kind: str, code: int, reason: str) -> bytes:
@@ -635,10 +635,7 @@ class PoseRequests:
 
     def counts(self) -> dict[int, int]:
         """Return the number of pending requests by robot."""
-        counts: dict[int, int] = {}
-        for request in self._requests:
-            counts[request.robot_id] = counts.get(request.robot_id, 0) + 1
-        return counts
+        return Counter(request.robot_id for request in self._requests)
 
     def answer(self, robot_id: int, pose: ClickedPose) -> bool:
         """Answer the requests for a robot with a clicked pose; return True if there were any."""

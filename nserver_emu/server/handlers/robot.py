@@ -15,7 +15,7 @@ from nclient.protocol.types import LINES, Position, clamp_word, rad_from_tenths,
 from nserver_emu.server import server_state
 from nserver_emu.server.server_state import ServerState, axis_values, is_on, laser_vector, robot_clock_ms, stamp_now
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
-from nserver_emu.simulation.sensors import INFRAREDS, CompassMode
+from nserver_emu.simulation.sensors import INFRAREDS, CompassMode, LineFit
 
 # Modes of mv: 0 leaves an axis as it is, 1 to 3 move or release it, 4 and 5 set its limits.
 _MV_LEAVE, _MV_MAX = 0, 5
@@ -289,7 +289,7 @@ def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     if not all(0 <= number <= _MAX_BYTE for number in args):
         return error_reply(BAD_VALUES)
     threshold, min_points, gap = args
-    context.segments = (threshold, min_points, gap)
+    context.line_fit = LineFit(threshold / 10, min_points, gap / 10)
     return None
 
 
