@@ -60,12 +60,12 @@ class ViewerController:
         self.daemon = daemon
         self._names = names or {}
         """Students by robot."""
-        self._programs: dict[int, list[str]] = {}
         self._starts = {number: robot.actual for number, robot in daemon.emulator.simulation.robots.items()}
         """Poses at the start, to which *Reset* returns."""
         self.broadcaster = broadcaster
         self.error_boundary = ErrorBoundary()
-        self._pose_requests: dict[int, int] = {}
+        self._sent: dict[str, Mapping[int, object]] = {"programs": {}, "asked": {}}
+        """Values by robot that pages have, by type of the message; sent again when they change."""
         self.waypoints: dict[int, list[list[float]]] = {}
         """Goal of each robot, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
@@ -92,8 +92,8 @@ class ViewerController:
                             waypoints=self.waypoints, lines=dict(self.daemon.lines()) if access.may_act else {},
                             robot=access.robot, names=self._names,
                             own_methods=list(self.localizers.own_methods)))
-        viewer.notify(messages.encode_message("programs", robots=self._programs))
-        viewer.notify(messages.encode_message("asked", robots=self._pose_requests))
+        for kind, robots in self._sent.items():
+            viewer.notify(messages.encode_message(kind, robots=robots))
         viewer.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
         # 2. Estimates and maps that are not outdated.
         for (kind, _), (published_at, fields) in self._published.items():
@@ -115,8 +115,8 @@ class ViewerController:
         for clients in self._clients.values():
             clients.tick(now)
         with self.error_boundary.guard("pose requests"):
-            self._send_pose_requests()
-            self._send_programs()
+            self._send_changed("asked", self.daemon.emulator.pose_requests.counts())
+            self._send_changed("programs", self._programs())
         with self.error_boundary.guard("the maps of localizers"):
             self.localizers.check_maps()
         with self.error_boundary.guard("the traffic"):
@@ -350,22 +350,20 @@ class ViewerController:
         """Return a function that answers a viewer's message with an unexpected error."""
         return lambda error: self._refuse(viewer, number, f"internal error, see the daemon's log: {error!r}")
 
-    def _send_pose_requests(self) -> None:
-        requests = self.daemon.emulator.pose_requests.counts()
-        if requests != self._pose_requests:
-            self._pose_requests = requests
-            self.broadcaster.notify(messages.encode_message("asked", robots=requests))
+    def _send_changed(self, kind: str, robots: Mapping[int, object]) -> None:
+        """Send values by robot to all pages if they have changed."""
+        if robots != self._sent[kind]:
+            self._sent[kind] = robots
+            self.broadcaster.notify(messages.encode_message(kind, robots=robots))
 
-    def _send_programs(self) -> None:
-        """Send the clients of each robot when they have changed."""
+    def _programs(self) -> dict[int, list[str]]:
+        """Return the names of the clients of each robot that has any."""
         programs: dict[int, list[str]] = {}
         for connection in self.daemon.connections:
             robot_id = connection.session.context.robot_id
             if robot_id is not None and connection.is_connected and connection.line != ViewerClient.line:
                 programs.setdefault(robot_id, []).append(connection.session.name)
-        if programs != self._programs:
-            self._programs = programs
-            self.broadcaster.notify(messages.encode_message("programs", robots=programs))
+        return programs
 
     def _send_localizers(self) -> None:
         self.broadcaster.notify(messages.encode_message("localizers", robots=self.localizers.as_dict()))
