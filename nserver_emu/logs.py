@@ -34,6 +34,7 @@ from typing import Any, Final, TextIO
 log = logging.getLogger(__name__)
 
 TEXT, JSON = "text", "json"
+TEXT_FORMAT: Final = "%(asctime)s %(levelname)s %(message)s"
 LEVELS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 # Lines that wait for a reader of stderr; a line has some 100 bytes.
 MAX_QUEUED: Final = 1000
@@ -65,7 +66,7 @@ def logging_to_stderr(options: argparse.Namespace) -> Iterator[None]:
     if root.handlers:
         yield
         return
-    formatter = JsonFormatter() if options.log_format == JSON else TextFormatter()
+    formatter = JsonFormatter() if options.log_format == JSON else logging.Formatter(TEXT_FORMAT)
     stderr = LossCountingHandler(_unbuffered(sys.stderr))
     stderr.setFormatter(formatter)
     handler = BoundedQueueHandler(formatter)
@@ -102,10 +103,7 @@ def print_failure(options: argparse.Namespace, error: Exception) -> None:
     """Report the error that ended the daemon, as its last line on stderr."""
     line = f"nserver: {error}"
     if options.log_format == JSON:
-        record = logging.makeLogRecord({
-            "name": __package__, "levelno": logging.CRITICAL, "levelname": "CRITICAL", "msg": "nserver: %s",
-            "args": (error,),
-        })  # fmt: skip
+        record = _record("nserver: %s", error, level=logging.CRITICAL, name=__package__)
         line = JsonFormatter().format(record)
     # In a thread, since nothing may read stderr.
     writer = threading.Thread(target=_unbuffered(sys.stderr).write, args=(f"{line}\n",), daemon=True)
@@ -219,11 +217,9 @@ class BoundedListener(QueueListener):
         self._thread = None
 
 
-def _record(message: str, *args: object) -> logging.LogRecord:
-    """Return a warning about the log itself."""
-    return logging.makeLogRecord({
-        "name": __name__, "levelno": logging.WARNING, "levelname": "WARNING", "msg": message, "args": args,
-    })  # fmt: skip
+def _record(message: str, *args: object, level: int = logging.WARNING, name: str = __name__) -> logging.LogRecord:
+    """Return a record that passes no logger; by default a warning about the log itself."""
+    return logging.LogRecord(name, level, "", 0, message, args, None)
 
 
 class LossCountingHandler(logging.StreamHandler[TextIO]):
@@ -259,13 +255,6 @@ class LossCountingHandler(logging.StreamHandler[TextIO]):
             self.lost += 1
         else:
             super().handleError(record)
-
-
-class TextFormatter(logging.Formatter):
-    """Time, level, message."""
-
-    def __init__(self) -> None:
-        super().__init__("%(asctime)s %(levelname)s %(message)s")
 
 
 class JsonFormatter(logging.Formatter):
