@@ -11,7 +11,7 @@ where it touches. It knows no commands and no encoders.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import atan2
 from typing import Final, NamedTuple
 
@@ -325,15 +325,11 @@ class Chassis:
         self._walls = walls
         self._forget_survey()
 
-    def set_obstacles(self, discs: Iterable[tuple[float, float, float]]) -> None:
+    def set_obstacles(self, discs: Sequence[tuple[float, float, float]]) -> None:
         """Replace the other robots that can be touched: rows x y radius in inches."""
-        self._others = tuple(collision.Capsule.disc(*disc) for disc in discs)
-        self._clearance_in = 0.0
-
-    @property
-    def has_obstacles(self) -> bool:
-        """True if another robot can be touched."""
-        return bool(self._others)
+        if discs or self._others:
+            self._others = tuple(collision.Capsule.disc(*disc) for disc in discs)
+            self._clearance_in = 0.0
 
     def _forget_survey(self) -> None:
         self._near: tuple[collision.Capsule, ...] = ()
@@ -359,16 +355,15 @@ class Chassis:
 
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """Return the true pose at these mechanical angles."""
-        yaw = self._yaw_rad
-        turret = turret_rad + self._lag_rad + yaw
-        return Pose(self._x_in, self._y_in, wrap_to_2pi(steering_rad + yaw), wrap_to_2pi(turret))
+        heading = wrap_to_2pi(self.heading(steering_rad))
+        return Pose(self._x_in, self._y_in, heading, self.turret_direction(turret_rad))
 
     def turret_direction(self, turret_rad: float) -> float:
         """Return the true direction of the turret at this mechanical angle, [0, 2 pi)."""
         return wrap_to_2pi(turret_rad + self._lag_rad + self._yaw_rad)
 
     def heading(self, steering_rad: float) -> float:
-        """Return the true heading at this mechanical steering angle, unwrapped."""
+        """Return the true direction of this mechanical angle against the body, such as the steering, unwrapped."""
         return steering_rad + self._yaw_rad
 
     def first_contact(self, segment: ConstantAccelerationSegment, steering_rad: float) -> collision.Contact | None:
@@ -403,16 +398,12 @@ class Chassis:
         """Set the turret's lag to 0: its sensor has found the zero position."""
         self._lag_rad = 0.0
 
-    def front(self, frame_rad: float) -> float:
-        """Return the direction of bumper 0 in the map, radians; frame_rad as in `bumpers`."""
-        return wrap_to_2pi(frame_rad + self._yaw_rad)
-
     def bumpers(self, frame_rad: float) -> int:
         """Return the pressed bumpers as bits; frame_rad is the angle of the bumpers against the yaw."""
         # Nothing can be that near.
         if self._clearance_in > collision.TOUCH_IN:
             return 0
-        front = frame_rad + self._yaw_rad
+        front = self.heading(frame_rad)
         vectors = (capsule.gap_to(0.0, self._x_in, self._y_in)[1:] for capsule in self._within(collision.TOUCH_IN))
         return collision.pressed_bumpers((atan2(-y, -x) - front for x, y in vectors), self.body.bumper_angles_rad)
 

@@ -498,7 +498,7 @@ class SimulatedRobot:
     @property
     def front_rad(self) -> float:
         """True direction of bumper 0 in the map: the body of a Scout turns with its wheels, and any body with noise."""
-        return self._chassis.front(self._drive.bumper_frame_rad)
+        return segments.wrap_to_2pi(self._chassis.heading(self._drive.bumper_frame_rad))
 
     # Motion commands
 
@@ -668,8 +668,7 @@ class SimulatedRobot:
 
     def set_obstacles(self, discs: Sequence[Disc]) -> None:
         """Replace the other robots that can be touched, rows x y radius in inches."""
-        if discs or self._chassis.has_obstacles:
-            self._chassis.set_obstacles(discs)
+        self._chassis.set_obstacles(discs)
 
     def set_positions(self, positions: PositionProvider, self_index: int) -> None:
         """Set the source of the robots' positions for the sensors; row `self_index` is this robot."""

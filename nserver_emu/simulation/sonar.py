@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from math import cos, inf, sin
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -50,10 +50,8 @@ MAX_EARLIER_PINGS: Final = 10_000
 class SonarNoise(SonarErrors):
     """The ideal sonar: one exact ray, with Gaussian noise of its range (none where both deviations are 0)."""
 
-    @property
-    def audible_ps(self) -> int:
-        """0: there is no cross-talk between rays."""
-        return 0
+    audible_ps: ClassVar[int] = 0
+    """There is no cross-talk between rays."""
 
     @property
     def has_noise(self) -> bool:
@@ -62,7 +60,6 @@ class SonarNoise(SonarErrors):
 
     def surfaces(self, _seed: int) -> None:
         """Return None: exact rays meet the walls as the map has them."""
-        return
 
     def draw(self, rng: np.random.Generator) -> tuple[float, ...]:
         """Draw the noise of a ping: one number, or 0 without drawing where there is no noise."""

@@ -73,7 +73,7 @@ def test_new_walls_and_robots_count_at_once() -> None:
     assert contact is not None
     assert contact.time_s == pytest.approx((20.0 - 8.0 - N150.radius_in) / 5.0)
     robot.set_obstacles(())
-    assert not robot.has_obstacles
+    assert robot.to_state().others == ()
     assert robot.first_contact(ahead, 0.0) is None
     # Walls at a quarter of their distance are in the way.
     robot.set_walls(WallSet(WALLS * 0.25))
