@@ -250,14 +250,11 @@ class ShadowSimulation:
             return
         real = whole_state(state, self._link)
         if not self._is_aligned:
-            self._align(real)
+            x, y, steering, turret = real[_POSE]
+            self._robot().define_position(x / 10, y / 10)
+            self._robot().define_angles(rad_from_tenths(steering), rad_from_tenths(turret))
+            self._is_aligned = True
         self.report.compare(real, state_slots(self._robot(), _SIMULATION_SPEED))
-
-    def _align(self, real: list[int]) -> None:
-        x, y, steering, turret = real[_POSE]
-        self._robot().define_position(x / 10, y / 10)
-        self._robot().define_angles(rad_from_tenths(steering), rad_from_tenths(turret))
-        self._is_aligned = True
 
 
 # Calls that only the owner may make, or any connection while there is none.
@@ -371,8 +368,6 @@ class RealRobotProxy:
             case "conf_tm":
                 self._timeout = (context, translated.calls[0].args[0]) if call.args[0] > 0 else None
                 translated = real_robot.TranslatedCall((self._timeout_call(),), translated.build_reply)
-            case _:
-                pass
         # 4. Queue the calls. A request for the state shares the reply that others wait for.
         if translated.calls != (real_robot.REFRESH,):
             return self._defer(self._submit(translated.calls, call), translated.build_reply, context)

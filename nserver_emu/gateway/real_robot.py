@@ -411,13 +411,10 @@ class RobotWorker:
     def refresh(self) -> Job:
         """Queue a request for the state, or return the one that is still waiting."""
         with self._changed:
-            if self._pending_refresh is None:
-                # Requests that wait at the same time share one exchange with the robot.
-                self._pending_refresh = self.submit((REFRESH,))
-                if self._pending_refresh.result is not None:
-                    job, self._pending_refresh = self._pending_refresh, None
-                    return job
-            return self._pending_refresh
+            # Requests that wait at the same time share one exchange with the robot.
+            job = self._pending_refresh or self.submit((REFRESH,))
+            self._pending_refresh = job if job.result is None else None
+            return job
 
     def run_next(self) -> float | None:
         """Carry out the next job.

@@ -103,13 +103,11 @@ class PseudoTerminal:
 
     def restore_link(self) -> bool:
         """Create the link again if it was removed; return True if so."""
-        if os.path.lexists(self.path):
-            return False
-        try:
-            _link(self.path, self.device)
-        except OSError:
-            return False
-        return True
+        if not os.path.lexists(self.path):
+            with contextlib.suppress(OSError):
+                _link(self.path, self.device)
+                return True
+        return False
 
     def close(self) -> None:
         """Close both and remove the link if it is still this one's; idempotent."""
