@@ -120,21 +120,19 @@ class Capsule(NamedTuple):
         return fraction
 
 
-class WallSet:
-    """Walls (m, 4), rows x1 y1 x2 y2 in inches."""
+def walls_within(x_in: float, y_in: float, distance_in: float,
+                 walls: FloatArray) -> tuple[tuple[Capsule, ...], float]:
+    """Return the walls (m, 4) within a distance of a point, in their order, and the distance of the nearest other one.
 
-    def __init__(self, walls: FloatArray) -> None:
-        self.walls = walls
-
-    def within(self, x_in: float, y_in: float, distance_in: float) -> tuple[tuple[Capsule, ...], float]:
-        """Return the walls within a distance of a point, in their order, and the distance of the nearest other one."""
-        # Among many walls only those around, unless the nearest other one is farther away.
-        reach_in = distance_in + AROUND_IN
-        around = near_walls(x_in, y_in, reach_in, self.walls)
-        found, nearest_other_in = _within(x_in, y_in, distance_in, around)
-        if nearest_other_in > reach_in and len(around) < len(self.walls):
-            found, nearest_other_in = _within(x_in, y_in, distance_in, self.walls)
-        return tuple(Capsule(*wall) for wall in found.tolist()), nearest_other_in
+    Rows are x1 y1 x2 y2 in inches.
+    """
+    # Among many walls only those around, unless the nearest other one is farther away.
+    reach_in = distance_in + AROUND_IN
+    around = near_walls(x_in, y_in, reach_in, walls)
+    found, nearest_other_in = _within(x_in, y_in, distance_in, around)
+    if nearest_other_in > reach_in and len(around) < len(walls):
+        found, nearest_other_in = _within(x_in, y_in, distance_in, walls)
+    return tuple(Capsule(*wall) for wall in found.tolist()), nearest_other_in
 
 
 def _within(x_in: float, y_in: float, distance_in: float, walls: FloatArray) -> tuple[FloatArray, float]:

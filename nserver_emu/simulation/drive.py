@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 from nserver_emu.simulation import collision
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits, AxisState
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi, wrap_to_pi
+from worlds.geometry import FloatArray
 from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(top_speed=0.0, top_acceleration=1.0, min_acceleration=1.0, speed=0.0, acceleration=1.0,
@@ -306,7 +307,7 @@ class Chassis:
                   inches; then all walls are searched again
     """
 
-    def __init__(self, body: Body, walls: collision.WallSet, x_in: float, y_in: float) -> None:
+    def __init__(self, body: Body, walls: FloatArray, x_in: float, y_in: float) -> None:
         self.body = body
         self._walls = walls
         self._others: tuple[collision.Capsule, ...] = ()
@@ -320,8 +321,8 @@ class Chassis:
         self._lag_rad = 0.0
         self._forget_survey()
 
-    def set_walls(self, walls: collision.WallSet) -> None:
-        """Replace the walls."""
+    def set_walls(self, walls: FloatArray) -> None:
+        """Replace the walls (m, 4), rows x1 y1 x2 y2 in inches."""
         self._walls = walls
         self._forget_survey()
 
@@ -412,7 +413,8 @@ class Chassis:
         x, y, radius = self._x_in, self._y_in, self.body.radius_in
         # 1. Search all walls again when an unsurveyed one might be that near.
         if self._surveyed_in <= distance_in:
-            self._near, nearest_other_in = self._walls.within(x, y, radius + distance_in + SURVEY_IN)
+            reach_in = radius + distance_in + SURVEY_IN
+            self._near, nearest_other_in = collision.walls_within(x, y, reach_in, self._walls)
             self._surveyed_in = nearest_other_in - radius
         # 2. Of the surveyed walls and the other robots those within the distance.
         found, clearance = [], self._surveyed_in

@@ -36,10 +36,8 @@ from nclient.common.validation import InvalidValue, given, keys_of, reported_as,
 from nclient.errors import WorldFileError
 from nserver_emu.simulation.axis import MAX_RESTORED_SPEED, AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
+from worlds import robots
 from worlds.robots import MAX_BUMPERS, AngularAxis, Body, Calibration, LinearAxis, ModelTable, base_of, read_model_file
-from worlds.robots import N150 as N150_BODY
-from worlds.robots import N200 as N200_BODY
-from worlds.robots import SCOUT as SCOUT_BODY
 from worlds.schema import INCHES_PER_UNIT, read_text
 
 T = TypeVar("T")
@@ -131,9 +129,9 @@ class RobotModel:
                 raise ValueError("an axis without limits")
 
 
-N150: Final = RobotModel("n150", N150_BODY, (ROLLING, TURNING, TURNING))
-N200: Final = RobotModel("n200", N200_BODY, (ROLLING, TURNING, TURNING), has_light_sensors=True)
-SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN, has_compass=False)
+N150: Final = RobotModel("n150", robots.N150, (ROLLING, TURNING, TURNING))
+N200: Final = RobotModel("n200", robots.N200, (ROLLING, TURNING, TURNING), has_light_sensors=True)
+SCOUT: Final = RobotModel("scout", robots.SCOUT, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN, has_compass=False)
 
 MODELS: Final[Mapping[str, RobotModel]] = MappingProxyType({model.name: model for model in (N150, N200, SCOUT)})
 """The predefined models by name."""

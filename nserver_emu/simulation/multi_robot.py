@@ -31,7 +31,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from nserver_emu.simulation.collision import Capsule, WallSet
+from nserver_emu.simulation.collision import Capsule, walls_within
 from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, to_s
 from nserver_emu.simulation.visibility import PositionProvider, RobotPositions
 from worlds.geometry import FloatArray
@@ -111,7 +111,7 @@ class SimulatedWalker:
         self.walker = walker
         self._time_ps = now_ps
         self._walked_ps = 0
-        self._walls = WallSet(walls)
+        self._walls = walls
         self._obstacles: list[Capsule] = []
         # Since `start_trajectory`: begin of a piece of time, and the time spent walking before and after it.
         self._pieces: list[tuple[int, int, int]] = []
@@ -184,13 +184,13 @@ class SimulatedWalker:
         (x, y), radius_in = start, self.walker.radius_in
         dx, dy = end[0] - x, end[1] - y
         thin_in = WALL_FRACTION * radius_in
-        walls, _ = self._walls.within(x, y, thin_in + abs(dx) + abs(dy))
+        walls, _ = walls_within(x, y, thin_in + abs(dx) + abs(dy), self._walls)
         return min(min((wall.free_fraction(x, y, dx, dy, thin_in) for wall in walls), default=1.0),
                    min((each.free_fraction(x, y, dx, dy, radius_in + GAP_IN) for each in self._obstacles), default=1.0))
 
     def set_walls(self, walls: FloatArray) -> None:
         """Replace the walls (m, 4), rows x1 y1 x2 y2 in inches."""
-        self._walls = WallSet(walls)
+        self._walls = walls
 
     def set_obstacles(self, discs: Sequence[Disc]) -> None:
         """Replace the robots that are near, rows x y radius in inches."""

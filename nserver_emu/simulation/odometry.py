@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.drive import NO_TRACK, Drive, axis_rates, path_segment
+from nserver_emu.simulation.drive import Drive, axis_rates, path_segment
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi
 from nserver_emu.simulation.settings import setting
 
@@ -162,14 +162,7 @@ class Odometry:
 def erroneous_segment(segment: ConstantAccelerationSegment, track_in: float, scales: Sequence[float],
                       drifts: Sequence[float]) -> ConstantAccelerationSegment:
     """Return the true motion of a drive of this track for a commanded one; errors as those of `Odometry`."""
-    # 1. Scale errors of both axes. Those of a synchro drive are speed and turn rate themselves.
-    if track_in == NO_TRACK:
-        duration, speed, acceleration, turn_rate, turn_acceleration = segment
-        return ConstantAccelerationSegment(
-            duration, scales[0] * speed, scales[0] * acceleration,
-            scales[1] * turn_rate + drifts[0] * speed + drifts[1] * turn_rate,
-            scales[1] * turn_acceleration + drifts[0] * acceleration + drifts[1] * turn_acceleration,
-        )  # fmt: skip
+    # 1. Scale errors of both axes.
     first, second = axis_rates(segment, track_in)
     path = path_segment(segment.duration_s, first.times(scales[0]), second.times(scales[1]), track_in)
     # 2. Drift of the body.

@@ -18,7 +18,7 @@ import numpy as np
 
 from nserver_emu.simulation import segments, sensors
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
-from nserver_emu.simulation.collision import PlacedSegment, WallSet
+from nserver_emu.simulation.collision import PlacedSegment
 from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.multi_robot import STATIONARY, Disc, SweptBounds
@@ -141,7 +141,7 @@ class SimulatedRobot:
         self._drive = model.drive(setup.ramps)
         self._drive.set_angles(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
-        self._chassis = Chassis(model.body, WallSet(walls), start.x_in, start.y_in)
+        self._chassis = Chassis(model.body, walls, start.x_in, start.y_in)
         self._has_exact_motion = setup.has_exact_motion
         # Pieces of the true path since `start_trajectory`: when each begins, and the seconds until the robot was
         # blocked; afterwards it stands.
@@ -691,4 +691,4 @@ class SimulatedRobot:
         self.sonar.set_walls(walls)
         if self.infrared is not None:
             self.infrared.set_walls(walls)
-        self._chassis.set_walls(WallSet(walls))
+        self._chassis.set_walls(walls)

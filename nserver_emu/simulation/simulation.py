@@ -100,11 +100,10 @@ class Simulation:
             number: SimulatedRobot.from_state(robot, RngFactory(number, state.seed), walls, state.time_ps)
             for number, robot in state.robots.items()
         }
-        if len(state.walkers or ()) != len(simulation.walkers):
-            raise ValueError(
-                f"{len(state.walkers or ())} states of walkers for the {len(simulation.walkers)} walkers of the world"
-            )
-        for walker, walker_state in zip(simulation.walkers, state.walkers or (), strict=True):
+        states, walkers = state.walkers or (), simulation.walkers
+        if len(states) != len(walkers):
+            raise ValueError(f"{len(states)} states of walkers for the {len(walkers)} walkers of the world")
+        for walker, walker_state in zip(walkers, states, strict=True):
             walker.set_state(walker_state)
         # 3. Connect the bodies; with many robots it pays to compile the ray caster.
         load_compiled(len(simulation.robots))

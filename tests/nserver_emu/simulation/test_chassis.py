@@ -7,7 +7,6 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.drive import Chassis
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from worlds.robots import N150
@@ -18,7 +17,7 @@ WALLS = np.array(
 
 
 def chassis(x: float, y: float) -> Chassis:
-    return Chassis(N150, WallSet(WALLS), x, y)
+    return Chassis(N150, WALLS, x, y)
 
 
 def test_cached_clearance_changes_no_contact() -> None:
@@ -76,5 +75,5 @@ def test_new_walls_and_robots_count_at_once() -> None:
     assert robot.to_state().others == ()
     assert robot.first_contact(ahead, 0.0) is None
     # Walls at a quarter of their distance are in the way.
-    robot.set_walls(WallSet(WALLS * 0.25))
+    robot.set_walls(WALLS * 0.25)
     assert robot.first_contact(ahead, 0.0) is not None

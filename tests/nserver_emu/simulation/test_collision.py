@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.collision import TOUCH_IN, Capsule, Contact, PlacedSegment, WallSet, first_contact
+from nserver_emu.simulation.collision import TOUCH_IN, Capsule, Contact, PlacedSegment, first_contact, walls_within
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from worlds.geometry import nearest_points
 
@@ -178,11 +178,11 @@ def test_a_centre_on_the_wall_may_go_anywhere() -> None:
 
 
 def test_near_walls_and_the_distance_of_the_others() -> None:
-    capsules, rest = WallSet(np.concatenate((WALL, LONG_WALL + 30.0))).within(0.0, 0.0, 50.0)
+    capsules, rest = walls_within(0.0, 0.0, 50.0, np.concatenate((WALL, LONG_WALL + 30.0)))
     assert (capsules, rest) == (all_of(WALL), 80.0)
-    assert WallSet(WALL).within(0.0, 0.0, 50.0) == (all_of(WALL), inf)
-    assert WallSet(WALL).within(0.0, 0.0, 49.9) == ((), 50.0)
-    assert WallSet(np.empty((0, 4))).within(0.0, 0.0, 1e4) == ((), inf)
+    assert walls_within(0.0, 0.0, 50.0, WALL) == (all_of(WALL), inf)
+    assert walls_within(0.0, 0.0, 49.9, WALL) == ((), 50.0)
+    assert walls_within(0.0, 0.0, 1e4, np.empty((0, 4))) == ((), inf)
 
 
 @pytest.mark.parametrize("distance_in", [0.0, 20.0, 300.0])
@@ -194,7 +194,7 @@ def test_many_walls_are_searched_as_few(distance_in: float) -> None:
         distances = nearest_points((x, y), walls)[1]
         is_near = distances <= distance_in
         expected = tuple(Capsule(*wall) for wall in walls[is_near].tolist())
-        assert WallSet(walls).within(x, y, distance_in) == (expected, distances[~is_near].min())
+        assert walls_within(x, y, distance_in, walls) == (expected, distances[~is_near].min())
 
 
 def test_pressing_depends_on_the_direction_of_motion() -> None:
