@@ -400,14 +400,16 @@ class ControlSocket:
 
     async def open(self) -> None:
         """Listen. Raise ConnectionLost with a remedy."""
-        _prepare(self.path)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
+            _prepare(self.path)
             listener.bind(str(self.path))
             self.path.chmod(OWNER_ONLY)
             self._server = await asyncio.start_unix_server(self._serve, sock=listener, limit=MAX_LINE)
         except OSError as error:
             listener.close()
+            if isinstance(error, ConnectionLost):
+                raise
             raise _cannot(self.path, error.strerror or str(error)) from error
         self._identity = _identity(self.path)
 
@@ -444,24 +446,19 @@ class ControlSocket:
 
 def _prepare(path: Path) -> None:
     """Create the folder and remove a socket without a server. Raise ConnectionLost if something else is there."""
-    try:
-        # 1. The default folder in /tmp must be the user's own.
-        if path.name == NAME:
-            with contextlib.suppress(FileExistsError):
-                path.parent.mkdir(mode=OWNERS_FOLDER)
-            _check_folder(path)
-        # 2. Nothing there, or a socket without a server.
-        if not path.exists() and not path.is_symlink():
-            return
-        if not stat.S_ISSOCK(path.stat().st_mode):
-            raise _cannot(path, "it exists and is no socket")
-        if _has_server(path):
-            raise _cannot(path, "another nserver listens there")
-        path.unlink()
-    except OSError as error:
-        if isinstance(error, ConnectionLost):
-            raise
-        raise _cannot(path, error.strerror or str(error)) from error
+    # 1. The default folder in /tmp must be the user's own.
+    if path.name == NAME:
+        with contextlib.suppress(FileExistsError):
+            path.parent.mkdir(mode=OWNERS_FOLDER)
+        _check_folder(path)
+    # 2. Nothing there, or a socket without a server.
+    if not path.exists() and not path.is_symlink():
+        return
+    if not stat.S_ISSOCK(path.stat().st_mode):
+        raise _cannot(path, "it exists and is no socket")
+    if _has_server(path):
+        raise _cannot(path, "another nserver listens there")
+    path.unlink()
 
 
 def _check_folder(path: Path) -> None:

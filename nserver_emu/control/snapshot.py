@@ -168,7 +168,8 @@ def decoder(kind: Any) -> Decoder:
             return _union_decoder(arguments)
     # 3. Enumerations, dataclasses and NamedTuples.
     if issubclass(kind, Enum):
-        return _enum_decoder(kind)
+        # True and 1.0 equal the 1 of an IntEnum.
+        return _expecting(f"a {kind.__name__}", lambda data: not isinstance(data, bool | float), kind)
     hints = get_type_hints(kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         return _dataclass_decoder(kind, {field.name: hints[field.name] for field in dataclasses.fields(kind)})
@@ -255,15 +256,6 @@ def _union_decoder(kinds: tuple[Any, ...]) -> Decoder:
         return lambda data: None if data is None else only(data)
     by_name = {TYPE_NAMES[kind]: decoder(kind) for kind in choices}
     return lambda data: by_name[_object(data)["type"]](data)
-
-
-def _enum_decoder(kind: type[Enum]) -> Decoder:
-    def decode(data: Any) -> Enum:
-        if isinstance(data, bool | float):
-            raise ValueError(f"expected a {kind.__name__}")
-        return kind(data)
-
-    return decode
 
 
 def _dataclass_decoder(kind: type, hints: Mapping[str, Any]) -> Decoder:
