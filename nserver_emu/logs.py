@@ -16,7 +16,6 @@ address; the rest is counted and reported as one line.
 
 import argparse
 import contextlib
-import copy
 import io
 import json
 import logging
@@ -173,10 +172,9 @@ class BoundedQueueHandler(QueueHandler):
 
     def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
         """Return the record with its line and without the objects it was made of, which may change or be large."""
-        line, record = self.format(record), copy.copy(record)
-        record.msg, record.args, record.exc_info, record.exc_text = line, None, None, None
-        record.is_formatted = True
-        return record
+        prepared: logging.LogRecord = super().prepare(record)
+        prepared.is_formatted = True
+        return prepared
 
     def enqueue(self, record: logging.LogRecord) -> None:
         """Queue a line, preceded by the number of dropped ones, if any."""

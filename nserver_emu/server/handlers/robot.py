@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from itertools import takewhile
 
 from nclient.protocol.replies import Reply, text_values
 from nclient.protocol.types import LINES, Position, clamp_word, rad_from_tenths, wrap_word
@@ -227,10 +228,10 @@ def conf_ir(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     robot, (history, *order) = server.robot_of(context), args
     if robot.infrared is None:
         return error_reply(NOT_AVAILABLE)
-    end = order.index(_END_OF_ORDER) if _END_OF_ORDER in order else len(order)
-    if history < 0 or not all(0 <= number < INFRAREDS for number in order[:end]):
+    sensors = list(takewhile(_END_OF_ORDER.__ne__, order))
+    if history < 0 or not all(0 <= number < INFRAREDS for number in sensors):
         return error_reply(BAD_VALUES)
-    robot.configure_infrareds(history, order[:end])
+    robot.configure_infrareds(history, sensors)
     return None
 
 
