@@ -79,6 +79,8 @@ class Pair(NamedTuple):
         travelled when the receiver starts to measure.
     min_range_in, margin_db
         Shortest range and largest loss of an echo that is detected.
+    losses
+        Cones and losses of both.
     """
 
     out: Beam
@@ -87,6 +89,7 @@ class Pair(NamedTuple):
     offset_in: float
     min_range_in: float
     margin_db: float
+    losses: Attenuation
 
 
 class Mirror(NamedTuple):
@@ -134,27 +137,27 @@ def first_echo(sources: Any, margin_db: float, min_range_in: float, recess_in: f
         # 2. The pair. Its paths are at most so long that sound is loud enough, and the echo nearer than one found.
         source, is_own = sources[number], number == 0
         out, offset_in = Beam(source[0], source[1], cos(source[2]), sin(source[2])), -recess_in - source[3] / 2.0
-        pair = Pair(out, back, is_own, offset_in, -inf if is_own else min_range_in, margin_db)
+        pair = Pair(out, back, is_own, offset_in, -inf if is_own else min_range_in, margin_db, losses)
         reach_in = min(loudest_in, nearest_in - offset_in) + distance(out.x, out.y, back.x, back.y) / 2.0
         if min(loudest_in, nearest_in - offset_in) < 0.0:
             continue
         out_rows, out_walls = (back_rows, back_walls) if is_own else walls_in_cone(out, slope, reach_in, reflectors)
         firsts = lasts if is_own else mirrors_of(out, out_rows, out_walls)
         # 3. The shortest free path off one reflector ...
-        echoes = off_walls(pair, losses, nearest_in, firsts, reflectors)
-        off_edges(echoes, pair, losses, nearest_in, out_walls)
-        off_posts(echoes, pair, losses, nearest_in, reflectors.posts)
+        echoes = off_walls(pair, nearest_in, firsts, reflectors)
+        off_edges(echoes, pair, nearest_in, out_walls)
+        off_posts(echoes, pair, nearest_in, reflectors.posts)
         for disc in zip(discs[0], discs[1], discs[2]):  # noqa: B905  for numba
-            off_disc(echoes, pair, losses, nearest_in, disc)
+            off_disc(echoes, pair, nearest_in, disc)
             if is_own:
-                over_walls_to_disc(echoes, pair, losses, nearest_in, firsts, disc)
+                over_walls_to_disc(echoes, pair, nearest_in, firsts, disc)
         nearest_in = first_free(echoes, pair, nearest_in, out_walls, back_walls, reflectors, discs)
         # 4. ... and of those off two walls that are shorter.
         reach_in = min(loudest_in, nearest_in - offset_in) + distance(out.x, out.y, back.x, back.y) / 2.0
         firsts = mirrors_within(firsts, reach_in)
-        echoes = off_two_walls(pair, losses, nearest_in, firsts, mirrors_within(lasts, reach_in))
+        echoes = off_two_walls(pair, nearest_in, firsts, mirrors_within(lasts, reach_in))
         if is_own:
-            over_walls_to_walls(echoes, pair, losses, nearest_in, firsts, reflectors)
+            over_walls_to_walls(echoes, pair, nearest_in, firsts, reflectors)
         nearest_in = first_free(echoes, pair, nearest_in, out_walls, back_walls, reflectors, discs)
     return nearest_in if nearest_in < max_range_in else inf
 
@@ -219,16 +222,16 @@ def beam_loss_db(beam: Beam, losses: Attenuation, x: float, y: float) -> float:
     return losses.rim_loss_db * off_axis * off_axis if off_axis <= 1.0 else inf
 
 
-def point_loss_db(pair: Pair, losses: Attenuation, x: float, y: float) -> float:
+def point_loss_db(pair: Pair, x: float, y: float) -> float:
     """Return the loss towards a point and back from it; inf outside one of the cones."""
-    out_db = beam_loss_db(pair.out, losses, x, y)
-    return 2.0 * out_db if pair.is_own else out_db + beam_loss_db(pair.back, losses, x, y)
+    out_db = beam_loss_db(pair.out, pair.losses, x, y)
+    return 2.0 * out_db if pair.is_own else out_db + beam_loss_db(pair.back, pair.losses, x, y)
 
 
-def echo_range(pair: Pair, losses: Attenuation, length_in: float, loss_db: float) -> float:
+def echo_range(pair: Pair, length_in: float, loss_db: float) -> float:
     """Return the range that a path of this length gives, with this loss besides absorption; inf if not detected."""
     range_in = length_in / 2.0 + pair.offset_in
-    is_detected = loss_db + losses.absorption_db_in * length_in / 2.0 <= pair.margin_db
+    is_detected = loss_db + pair.losses.absorption_db_in * length_in / 2.0 <= pair.margin_db
     return range_in if is_detected and range_in >= pair.min_range_in else inf
 
 
@@ -249,8 +252,14 @@ def level_in(row: int, along_in: float, reflectors: Reflectors) -> float:
 Echo = tuple[float, float, float, float, float, float, float]
 
 
-def off_walls(pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
-              reflectors: Reflectors) -> list[Echo]:
+def add_echo(echoes: list[Echo], nearest_in: float, range_in: float,
+             path: tuple[float, float, float, float, float, float]) -> None:
+    """Add the echo of a path if it is nearer than one found."""
+    if range_in < nearest_in:
+        echoes.append((range_in, *path))
+
+
+def off_walls(pair: Pair, nearest_in: float, mirrors: list[Mirror], reflectors: Reflectors) -> list[Echo]:
     """Return the echoes off one wall."""
     out, back = pair.out, pair.back
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]
@@ -265,13 +274,12 @@ def off_walls(pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[
                 side = 1.0 if left > 0.0 else -1.0 if left < 0.0 else 0.0
                 out_in = side * level_in(mirror.row, distance(mirror.x, mirror.y, x, y), reflectors)
                 length_in = max(length_in - 2.0 * out_in, 0.0)
-            range_in = echo_range(pair, losses, length_in, point_loss_db(pair, losses, x, y))
-            if range_in < nearest_in:
-                echoes.append((range_in, x, y, x, y, back.x, back.y))
+            range_in = echo_range(pair, length_in, point_loss_db(pair, x, y))
+            add_echo(echoes, nearest_in, range_in, (x, y, x, y, back.x, back.y))
     return echoes
 
 
-def off_edges(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, walls: list[Wall]) -> None:
+def off_edges(echoes: list[Echo], pair: Pair, nearest_in: float, walls: list[Wall]) -> None:
     """Add the echoes off ends and vertices of walls in the cone, except where a wall continues straight."""
     end_x, end_y = inf, inf
     for x1, y1, x2, y2 in walls:
@@ -279,35 +287,33 @@ def off_edges(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: f
             continue
         # Most walls begin where the one before ends.
         if x1 != end_x or y1 != end_y:
-            off_edge(echoes, pair, losses, nearest_in, x1, y1, walls)
-        off_edge(echoes, pair, losses, nearest_in, x2, y2, walls)
+            off_edge(echoes, pair, nearest_in, x1, y1, walls)
+        off_edge(echoes, pair, nearest_in, x2, y2, walls)
         end_x, end_y = x2, y2
 
 
-def off_edge(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float,
-             walls: list[Wall]) -> None:
+def off_edge(echoes: list[Echo], pair: Pair, nearest_in: float, x: float, y: float, walls: list[Wall]) -> None:
     """Add the echo off an end of a wall."""
-    range_in = scattered_range(pair, losses, nearest_in, x, y, 0.0, 0.0, losses.edge_loss_db)
+    range_in = scattered_range(pair, nearest_in, x, y, 0.0, 0.0, pair.losses.edge_loss_db)
     if range_in < nearest_in and is_edge(x, y, walls):
         echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
 
 
-def off_posts(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, posts: Any) -> None:
+def off_posts(echoes: list[Echo], pair: Pair, nearest_in: float, posts: Any) -> None:
     """Add the echoes off posts. A displaced post counts as on its wall for all but the length of the path."""
     for x, y, shift_x, shift_y in zip(posts[0], posts[1], posts[2], posts[3]):  # noqa: B905  for numba
-        range_in = scattered_range(pair, losses, nearest_in, x, y, shift_x, shift_y, losses.post_loss_db)
-        if range_in < nearest_in:
-            echoes.append((range_in, x, y, x, y, pair.back.x, pair.back.y))
+        range_in = scattered_range(pair, nearest_in, x, y, shift_x, shift_y, pair.losses.post_loss_db)
+        add_echo(echoes, nearest_in, range_in, (x, y, x, y, pair.back.x, pair.back.y))
 
 
-def scattered_range(pair: Pair, losses: Attenuation, nearest_in: float, x: float, y: float, shift_x: float,
+def scattered_range(pair: Pair, nearest_in: float, x: float, y: float, shift_x: float,
                     shift_y: float, loss_db: float) -> float:
     """Return the range of a point that scatters, displaced; inf if it is not detected or not nearer than another."""
     out, back, at_x, at_y = pair.out, pair.back, x + shift_x, y + shift_y
     length_in = distance(out.x, out.y, at_x, at_y) + distance(back.x, back.y, at_x, at_y)
     if not pair.min_range_in <= length_in / 2.0 + pair.offset_in < nearest_in:
         return inf
-    return echo_range(pair, losses, length_in, point_loss_db(pair, losses, x, y) + loss_db)
+    return echo_range(pair, length_in, point_loss_db(pair, x, y) + loss_db)
 
 
 def is_edge(x: float, y: float, walls: list[Wall]) -> bool:
@@ -325,14 +331,13 @@ def is_edge(x: float, y: float, walls: list[Wall]) -> bool:
 # Paths off another robot
 
 
-def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float,
-             disc: tuple[float, float, float]) -> None:
+def off_disc(echoes: list[Echo], pair: Pair, nearest_in: float, disc: tuple[float, float, float]) -> None:
     """Add the specular echo of a disc, and those scattered by it.
 
     A bundle of rays in the plane that a disc of radius r reflects is spread by 1 + 2 a b / ((a + b) r cos(incidence)),
     with the distances a and b before and after; from the same place (a = b = d) by (r + d) / r.
     """
-    out, back, (centre_x, centre_y, radius) = pair.out, pair.back, disc
+    out, back, losses, (centre_x, centre_y, radius) = pair.out, pair.back, pair.losses, disc
     if not (may_meet_disc(out, losses, disc) and (pair.is_own or may_meet_disc(back, losses, disc))):
         return
     # 1. The point that reflects from one transducer to the other.
@@ -342,9 +347,8 @@ def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: fl
         before, after = distance(out.x, out.y, x, y), distance(back.x, back.y, x, y)
         cos_incidence = ((out.x - x) * normal_x + (out.y - y) * normal_y) / before
         spread_db = 10.0 * log10(1.0 + 2.0 * before * after / ((before + after) * radius * cos_incidence))
-        range_in = echo_range(pair, losses, before + after, point_loss_db(pair, losses, x, y) + spread_db)
-        if range_in < nearest_in:
-            echoes.append((range_in, x, y, x, y, back.x, back.y))
+        range_in = echo_range(pair, before + after, point_loss_db(pair, x, y) + spread_db)
+        add_echo(echoes, nearest_in, range_in, (x, y, x, y, back.x, back.y))
     # 2. The interval of directions in which the disc is visible inside the cone.
     ahead, left = visibility.in_frame(out, centre_x, centre_y)
     away = distance(0.0, 0.0, ahead, left)
@@ -365,9 +369,8 @@ def off_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: fl
         out_db = losses.rim_loss_db * (turned / losses.half_rad) * (turned / losses.half_rad)
         loss_db = 2.0 * out_db if pair.is_own else out_db + beam_loss_db(back, losses, x, y)
         length_in = there_in + distance(back.x, back.y, x, y)
-        range_in = echo_range(pair, losses, length_in, loss_db + losses.skin_loss_db)
-        if range_in < nearest_in:
-            echoes.append((range_in, x, y, x, y, back.x, back.y))
+        range_in = echo_range(pair, length_in, loss_db + losses.skin_loss_db)
+        add_echo(echoes, nearest_in, range_in, (x, y, x, y, back.x, back.y))
 
 
 def may_meet_disc(beam: Beam, losses: Attenuation, disc: tuple[float, float, float]) -> bool:
@@ -399,7 +402,7 @@ def specular_normal(pair: Pair, disc: tuple[float, float, float]) -> tuple[bool,
     return start_x * dx + start_y * dy > radius, dx, dy
 
 
-def over_walls_to_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+def over_walls_to_disc(echoes: list[Echo], pair: Pair, nearest_in: float, mirrors: list[Mirror],
                        disc: tuple[float, float, float]) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto a disc, and back along themselves."""
     out, (centre_x, centre_y, radius) = pair.out, disc
@@ -415,19 +418,17 @@ def over_walls_to_disc(echoes: list[Echo], pair: Pair, losses: Attenuation, near
         is_met, x, y = crossing(image_x, image_y, foot_x, foot_y, mirror)
         if is_met:
             gap_in = fraction * away
-            loss_db = point_loss_db(pair, losses, x, y) + 2.0 * losses.bounce_loss_db
-            range_in = echo_range(pair, losses, 2.0 * gap_in, loss_db + 10.0 * log10(1.0 + gap_in / radius))
-            if range_in < nearest_in:
-                echoes.append((range_in, x, y, foot_x, foot_y, foot_x, foot_y))
+            loss_db = point_loss_db(pair, x, y) + 2.0 * pair.losses.bounce_loss_db
+            range_in = echo_range(pair, 2.0 * gap_in, loss_db + 10.0 * log10(1.0 + gap_in / radius))
+            add_echo(echoes, nearest_in, range_in, (x, y, foot_x, foot_y, foot_x, foot_y))
 
 
 # Paths off two walls
 
 
-def off_two_walls(pair: Pair, losses: Attenuation, nearest_in: float, firsts: list[Mirror],
-                  lasts: list[Mirror]) -> list[Echo]:
+def off_two_walls(pair: Pair, nearest_in: float, firsts: list[Mirror], lasts: list[Mirror]) -> list[Echo]:
     """Return the echoes off two walls."""
-    out, back = pair.out, pair.back
+    out, back, losses = pair.out, pair.back, pair.losses
     echoes = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(0)]
     for one in firsts:
         image_x, image_y = mirrored(out.x, out.y, one)
@@ -445,13 +446,11 @@ def off_two_walls(pair: Pair, losses: Attenuation, nearest_in: float, firsts: li
             if not is_met:
                 continue
             loss_db = beam_loss_db(out, losses, x1, y1) + beam_loss_db(back, losses, x2, y2) + losses.bounce_loss_db
-            range_in = echo_range(pair, losses, length_in, loss_db)
-            if range_in < nearest_in:
-                echoes.append((range_in, x1, y1, x2, y2, back.x, back.y))
+            add_echo(echoes, nearest_in, echo_range(pair, length_in, loss_db), (x1, y1, x2, y2, back.x, back.y))
     return echoes
 
 
-def over_walls_to_walls(echoes: list[Echo], pair: Pair, losses: Attenuation, nearest_in: float, mirrors: list[Mirror],
+def over_walls_to_walls(echoes: list[Echo], pair: Pair, nearest_in: float, mirrors: list[Mirror],
                         reflectors: Reflectors) -> None:
     """Add the echoes off a slanted wall, perpendicularly onto another, and back along themselves."""
     out, reach_in, has_surfaces = pair.out, nearest_in - pair.offset_in, len(reflectors.begins) > 0
@@ -478,10 +477,9 @@ def over_walls_to_walls(echoes: list[Echo], pair: Pair, losses: Attenuation, nea
             is_met, x, y = crossing(image_x, image_y, foot_x, foot_y, mirror)
             if is_met:
                 length_in = 2.0 * distance(image_x, image_y, foot_x, foot_y)
-                loss_db = point_loss_db(pair, losses, x, y) + 2.0 * losses.bounce_loss_db
-                range_in = echo_range(pair, losses, length_in, loss_db)
-                if range_in < nearest_in:
-                    echoes.append((range_in, x, y, foot_x, foot_y, foot_x, foot_y))
+                loss_db = point_loss_db(pair, x, y) + 2.0 * pair.losses.bounce_loss_db
+                range_in = echo_range(pair, length_in, loss_db)
+                add_echo(echoes, nearest_in, range_in, (x, y, foot_x, foot_y, foot_x, foot_y))
 
 
 # Obstructions
