@@ -283,20 +283,18 @@ class RunHeader:
         Raises
         ------
         RecordingError
-            If the header lacks something, or if a file that it names has changed.
+            If a file that the header names has changed.
+        KeyError, TypeError, ValueError
+            If the header lacks something, or has a wrong value.
         """
         # 1. Values.
-        try:
-            values = dict(header["setting"])
-            others = tuple((model, _start(start)) for model, start in values["others"])
-            changes = {"start": _start(values["start"]), "others": others, "model_file": _path(values["model_file"])}
-            config = SimulationConfig(**values | changes)
-            clock, allowed = SimulationClock(**header["pace"]), Allowed(**header["allowed"])
-            clock.check()
-            _ = header["port"], header["requests_a_turn"]
-            digests = dict(header.get("digests", {}))
-        except (KeyError, TypeError, ValueError) as error:
-            raise RecordingError(f"{name}, line 1: no valid description of the simulation ({error!r})") from None
+        values = dict(header["setting"])
+        others = tuple((model, _start(start)) for model, start in values["others"])
+        changes = {"start": _start(values["start"]), "others": others, "model_file": _path(values["model_file"])}
+        config = SimulationConfig(**values | changes)
+        clock, allowed = SimulationClock(**header["pace"]), Allowed(**header["allowed"])
+        clock.check()
+        digests = dict(header.get("digests", {}))
         # 2. Files that are stored by name.
         for path in map(str, _files(config).values()):
             if path in digests and _digest(Path(path)) not in ("", digests[path]):

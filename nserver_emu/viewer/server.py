@@ -32,7 +32,7 @@ from nserver_emu.viewer.classroom import TEACHER, Student
 from nserver_emu.viewer.controller import ViewerController
 from nserver_emu.viewer.http_port import Handler, HttpPort, PageMessages, PageWriter, local_address, loop_time
 from nserver_emu.viewer.messages import MAX_TEXT, InvalidMessage, encode_message
-from nserver_emu.viewer.scene import Broadcaster, Modes, SceneHistory, Viewer, laser_modes
+from nserver_emu.viewer.scene import Broadcaster, SceneHistory, Viewer, laser_modes
 
 log = logging.getLogger(__name__)
 
@@ -104,14 +104,11 @@ class ViewerServer:
         with self.controller.error_boundary.guard("the clock"):
             self.controller.tick(loop_time())
         with self.controller.error_boundary.guard("the picture"):
-            self.broadcaster.take(self._laser_modes())
+            robots = self._daemon.emulator.simulation.robots
+            with_laser = [number for number, robot in robots.items() if robot.model.has_light_sensors]
+            self.broadcaster.take(laser_modes(self._daemon.connections, with_laser))
         for viewer in tuple(self._writers):
             await self._send_to(viewer)
-
-    def _laser_modes(self) -> Modes:
-        robots = self._daemon.emulator.simulation.robots
-        numbers = [number for number, robot in robots.items() if robot.model.has_light_sensors]
-        return laser_modes(self._daemon.connections, numbers)
 
     def _access(self, request: web.Request) -> http_port.Access:
         """Return what the token of a request allows; raise HTTPForbidden if it is unknown."""
