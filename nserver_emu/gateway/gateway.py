@@ -44,18 +44,14 @@ from nserver_emu.gateway import real_robot
 from nserver_emu.gateway.real_robot import SLOW, STOP, Job, JobResult, Link, RobotWorker, whole_state
 from nserver_emu.server.estop import MOTIONS, moves
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.server_state import state_slots
+from nserver_emu.server.server_state import INFRARED, POSE_SLOTS, SONAR, SPEED_SLOT, VELOCITY_SLOTS, state_slots
 from nserver_emu.server.session import REFUSED, Answer, ConnectionContext, DeferredReply, done, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)
 
 # Slots of State
-_X, _Y, _STEERING, _TURRET = 34, 35, 36, 37
-_POSE: Final = slice(34, 38)
-_VELOCITIES: Final = range(38, 41)
-_INFRAREDS: Final = range(1, 17)
-_SONARS: Final = range(17, 33)
+_X, _Y, _STEERING, _TURRET = POSE_SLOTS
 
 _NO_ECHO: Final = (0, 255)
 _SIMULATION_SPEED: Final = 0
@@ -124,7 +120,7 @@ class ShadowReport:
         """Add the differences of two State vectors of one moment: 45 numbers each in wire units, bumpers clean."""
         self.states += 1
         # 1. Positions and velocities, tenths of an inch or degree.
-        lengths = [(_X, "x_in"), (_Y, "y_in"), *zip(_VELOCITIES, self._axes, strict=False)]
+        lengths = [(_X, "x_in"), (_Y, "y_in"), *zip(VELOCITY_SLOTS, self._axes, strict=False)]
         for slot, name in lengths:
             self.quantities[name].add((real[slot] - simulated[slot]) / 10)
         # 2. Angles.
@@ -132,9 +128,9 @@ class ShadowReport:
             self.quantities[name].add(angle_difference_deg(real[slot] - simulated[slot]))
         # 3. Bumpers (number of differing bits) and range sensors.
         self.quantities["bumpers"].add((real[BUMPER_SLOT] ^ simulated[BUMPER_SLOT]).bit_count())
-        for slot, name in zip(_INFRAREDS, self._infrareds, strict=False):
+        for slot, name in zip(INFRARED.slots, self._infrareds, strict=False):
             self.quantities[name].add(real[slot] - simulated[slot])
-        for slot, name in zip(_SONARS, self._sonars, strict=True):
+        for slot, name in zip(SONAR.slots, self._sonars, strict=True):
             self._compare_sonar(name, real[slot], simulated[slot])
 
     def summary(self) -> str:
@@ -250,9 +246,8 @@ class ShadowSimulation:
             return
         real = whole_state(state, self._link)
         if not self._is_aligned:
-            x, y, steering, turret = real[_POSE]
-            self._robot().define_position(x / 10, y / 10)
-            self._robot().define_angles(rad_from_tenths(steering), rad_from_tenths(turret))
+            self._robot().define_position(real[_X] / 10, real[_Y] / 10)
+            self._robot().define_angles(rad_from_tenths(real[_STEERING]), rad_from_tenths(real[_TURRET]))
             self._is_aligned = True
         self.report.compare(real, state_slots(self._robot(), _SIMULATION_SPEED))
 
@@ -269,7 +264,6 @@ POLL_S: Final = 0.05
 """Interval at which ws asks whether the axes still move."""
 # The robot's clock is a 32-bit word of milliseconds.
 _CLOCK_MODULUS_MS: Final = 2**32
-_SPEED_SLOT: Final = 0
 REAL, SIMULATED = "real_robot", "simulated_robot"
 
 WrapBackend = Callable[[Backend], Backend]
@@ -452,7 +446,7 @@ class RealRobotProxy:
     def _elapsed_s(self, since_s: float) -> float:
         """Return the seconds since then at the robot's pace: a simulation behind another Nserver may run faster."""
         # State[0] is ten times the pace.
-        pace = real_robot.REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, real_robot.REAL_TIME)
+        pace = real_robot.REAL_TIME if self.last is None else self.last.slots.get(SPEED_SLOT, real_robot.REAL_TIME)
         return (self._clock() - since_s) * pace / real_robot.REAL_TIME
 
     def _submit(self, calls: tuple[Call, ...], request: Call | None = None) -> Job:

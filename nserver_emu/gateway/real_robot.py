@@ -43,8 +43,9 @@ from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, LINES, PIXELS, POINTS, Model, tenths
-from nserver_emu.server.server_state import INFRARED_NOTHING, apply_mask
+from nserver_emu.server.server_state import INFRARED, POSE_SLOTS, SPEED_SLOT, apply_mask
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED, ConnectionContext, done, error_reply
+from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.sensors import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.geometry import FloatArray
 from worlds.robots import BODIES, Body
@@ -56,13 +57,8 @@ REAL_TIME: Final = 10
 REFRESH: Final = Call("gs")
 MAX_TIMEOUT_S: Final = 255
 """The watchdog time-out has one byte on the robot's line."""
-_SPEED_SLOT: Final = 0
-_INFRARED_SLOTS: Final = range(1, 17)
-_POSE_SLOTS: Final = range(34, 38)
 _AXES: Final = 7
 """Bits of State[41] that show moving axes; the bits above are a Scout's battery."""
-_MAX_MV_MODE: Final = 5
-"""Clients refuse modes of mv beyond this one, and so does the gateway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +107,7 @@ def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall |
     """
     if call.name not in _REPLIES:
         return NOT_AVAILABLE
-    if call.name == "mv" and any(not 0 <= mode <= _MAX_MV_MODE for mode in call.args[::2]):
+    if call.name == "mv" and any(mode not in tuple(Command) for mode in call.args[::2]):
         return BAD_VALUES
     if call.name == "ct" and context.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
@@ -130,8 +126,8 @@ def whole_state(reply: Reply, link: Link) -> list[int]:
     Slot 0 is real time, 1-16 are 15 where the robot has no infrareds, 33 has no bits of bumpers at rest, 42 and 44
     are 0 until a connection's own values are filled in.
     """
-    slots = dict.fromkeys(range(STATE_SIZE), 0) | dict.fromkeys(_INFRARED_SLOTS, INFRARED_NOTHING)
-    slots[_SPEED_SLOT] = REAL_TIME
+    slots = dict.fromkeys(range(STATE_SIZE), 0) | dict.fromkeys(INFRARED.slots, INFRARED.absent)
+    slots[SPEED_SLOT] = REAL_TIME
     slots |= link.clean(reply.slots)
     slots[LASER_SLOT] = slots[ERROR_SLOT] = 0
     return list(slots.values())
@@ -235,7 +231,7 @@ def _segments(_context: ConnectionContext, reply: Reply, link: Link) -> Reply:
 
 
 def _pose(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
-    return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE_SLOTS))
+    return Reply("configuration", values=tuple(reply.slots[slot] for slot in POSE_SLOTS))
 
 
 # --- Calls -----------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from nclient.errors import HELD
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.simulation.axis import AXIS_MOTIONS, Command
 
 log = logging.getLogger(__name__)
 
@@ -32,9 +33,6 @@ STOP: Final = Call("st", ())
 # Commands to a stopped robot: executed as st, and refused. A user packet may move anything, so it is refused too.
 _EXECUTED_AS_STOP: Final = (MOTIONS - ARM_MOTIONS) | {"lp"}
 _REFUSED: Final = ARM_MOTIONS | {"special_request"}
-# Modes of mv that move an axis or release it; 4 and 5 only set its limits.
-_MV_MOTIONS: Final = (1, 2, 3)
-_MV_LIMP: Final = 3
 # Calls whose reply may come later, when the robot stands: Stop ends them.
 _WAITS: Final = MOTIONS | {"ws", "arm_ws"}
 
@@ -43,14 +41,14 @@ def _asks_for_motion(call: Call) -> bool:
     """Return False for a motion command with all speeds and distances 0, which is a stop itself."""
     if call.name == "mv":
         pairs = zip(call.args[::2], call.args[1::2], strict=True)
-        return any(mode == _MV_LIMP or (mode in _MV_MOTIONS and value) for mode, value in pairs)
+        return any(mode == Command.LIMP or (mode in AXIS_MOTIONS and value) for mode, value in pairs)
     return any(call.args) or not call.args
 
 
 def moves(call: Call) -> bool:
     """Return True if a call moves the robot; an mv does so if one of its modes moves or releases an axis."""
     if call.name == "mv":
-        return any(mode in _MV_MOTIONS for mode in call.args[::2])
+        return any(mode in AXIS_MOTIONS for mode in call.args[::2])
     return call.name in MOTIONS
 
 

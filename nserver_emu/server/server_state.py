@@ -36,7 +36,7 @@ from nclient.errors import HELD
 from nclient.protocol import types
 from nclient.protocol.client_state import ERROR_SLOT, RING_PACKET, STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import Mask, Position, Stamp, WireState, clamp_word, heading_tenths, raw_volts, tenths
 from nserver_emu.server import session
 from nserver_emu.server.admission import Limits
@@ -244,9 +244,12 @@ def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) 
 INFRARED_NOTHING = 15
 # The clock is a 32-bit word of milliseconds: it wraps around after 50 days.
 CLOCK_WORD = 0xFFFFFFFF
-_MOTORS_SLOT = 41
-# Slots that no mask excludes: speed, motors, error.
-UNMASKED_SLOTS = (0, _MOTORS_SLOT, 44)
+# State slots of speed, encoder pose and velocities.
+SPEED_SLOT: Final = 0
+POSE_SLOTS: Final = range(34, 38)
+VELOCITY_SLOTS: Final = range(38, 41)
+# Slots that no mask excludes.
+UNMASKED_SLOTS = (SPEED_SLOT, MOTOR_SLOT, ERROR_SLOT)
 
 
 def clock_ms(time_s: float, step_s: float = 0.0) -> int:
@@ -382,8 +385,8 @@ STATE_SENSORS: Final = (INFRARED, SONAR, BUMPER, COMPASS)
 _Part = tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]]
 _PARTS: Final[tuple[_Part, ...]] = (
     *((sensor.slots.start, sensor.slots.stop, sensor.state_values) for sensor in STATE_SENSORS),
-    (34, 38, pose_tenths),
-    (38, 41, velocity_tenths),
+    (POSE_SLOTS.start, POSE_SLOTS.stop, pose_tenths),
+    (VELOCITY_SLOTS.start, VELOCITY_SLOTS.stop, velocity_tenths),
 )
 
 
@@ -398,7 +401,7 @@ class StateSnapshot:
         self._robot = robot
         moving = robot.moving
         self._slots = [0] * STATE_SIZE
-        self._slots[0], self._slots[_MOTORS_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
+        self._slots[SPEED_SLOT], self._slots[MOTOR_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
         self._missing: Sequence[_Part] = _PARTS
 
     def slots(self, mask: Mask = types.EVERYTHING) -> list[int]:

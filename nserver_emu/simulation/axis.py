@@ -53,6 +53,10 @@ class Command(IntEnum):
     SPEED = 5
 
 
+AXIS_MOTIONS: Final = frozenset({Command.VELOCITY, Command.RELATIVE, Command.LIMP})
+"""The commands that move an axis or release it; the others set its limits, or leave it as it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
     """Limits of one axis of a model, in units and seconds.

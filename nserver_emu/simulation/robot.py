@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nserver_emu.simulation import segments, sensors
-from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
+from nserver_emu.simulation.axis import AXIS_MOTIONS, TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.collision import PlacedSegment
 from nserver_emu.simulation.drive import Chassis, ChassisState, DriveState, drive_state, set_drive_state
 from nserver_emu.simulation.models import N150, RobotModel
@@ -532,7 +532,7 @@ class SimulatedRobot:
             For other axes.
         """
         self._drive.axes[axis].command(Command(command), value)
-        if command in (Command.VELOCITY, Command.RELATIVE, Command.LIMP):
+        if command in AXIS_MOTIONS:
             self._begin_command()
 
     def stop_axis(self, axis: int) -> None:

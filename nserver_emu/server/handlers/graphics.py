@@ -20,7 +20,7 @@ from nclient.protocol.replies import Reply
 from nserver_emu.server.graphics import Figure, Utterance
 from nserver_emu.server.server_state import ARM, ServerState, robot_clock_ms
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, done, error_reply
-from nserver_emu.simulation.axis import Arm, Command
+from nserver_emu.simulation.axis import AXIS_MOTIONS, Arm, Command
 
 
 def refresh(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
@@ -51,7 +51,6 @@ draw_arc = partial(_draw, figure=Figure.ARC)
 ARM_MODELS = frozenset({"n200"})
 # Packet types of arm_zr, arm_ws and arm_mv.
 ZERO_PACKET, WAIT_PACKET, MOVE_PACKET = 40, 41, 42
-_MOTIONS = frozenset({Command.VELOCITY, Command.RELATIVE, Command.LIMP})
 _UNITS_PER_INCH = 100.0
 _FAILED, _SUCCEEDED = 0, 1
 
@@ -86,7 +85,7 @@ def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...
     arm = server.arm_of(context)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_PER_INCH)
-    if not _MOTIONS.isdisjoint(modes):
+    if not AXIS_MOTIONS.isdisjoint(modes):
         server.axis_ownership.claim(context, context.robot, [ARM])
     return _packet(MOVE_PACKET, _SUCCEEDED)
 

@@ -16,11 +16,9 @@ from nclient.protocol.types import LINES, Position, clamp_word, rad_from_tenths,
 from nserver_emu.server import server_state
 from nserver_emu.server.server_state import ServerState, axis_values, is_on, laser_vector, robot_clock_ms, stamp_now
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
+from nserver_emu.simulation.axis import AXIS_MOTIONS, Command
 from nserver_emu.simulation.sensors import INFRAREDS, CompassMode, LineFit
 
-# Modes of mv: 0 leaves an axis as it is, 1 to 3 move or release it, 4 and 5 set its limits.
-_MV_LEAVE, _MV_MAX = 0, 5
-_MV_MOTIONS = (1, 2, 3)
 # Inches or radians: rounding error of a sum of distances, far below a tenth of an inch or degree.
 _ROUNDING = 1e-9
 
@@ -56,9 +54,9 @@ def mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     """Command each axis in its own mode; an unknown mode is refused before anything moves."""
     # Arguments are three pairs of mode and value.
     modes = args[::2]
-    if any(not _MV_LEAVE <= mode <= _MV_MAX for mode in modes):
+    if any(mode not in tuple(Command) for mode in modes):
         return error_reply(BAD_VALUES)
-    robot = server.claim_axes(context, [axis for axis, mode in enumerate(modes) if mode in _MV_MOTIONS])
+    robot = server.claim_axes(context, [axis for axis, mode in enumerate(modes) if mode in AXIS_MOTIONS])
     values = axis_values(robot, args[1::2])
     for axis, (mode, value) in enumerate(zip(modes, values, strict=True)):
         robot.command_axis(axis, mode, value)
@@ -133,8 +131,6 @@ def _without_rounding(distance: float) -> float:
     return distance if abs(distance) > _ROUNDING else 0.0
 
 
-# First State slots of pose and velocities.
-_POSE_SLOT, _VELOCITY_SLOT = 34, 38
 # In an order of sensors: no more follow.
 _END_OF_ORDER = 255
 _MAX_BYTE = 255
@@ -156,20 +152,21 @@ def ct(_server: ServerState, _context: ConnectionContext, _args: tuple[int, ...]
 
 def get_rc(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return position and angles."""
-    return Reply("configuration", dict(enumerate(server_state.pose_tenths(server.robot_of(context)), start=_POSE_SLOT)))
+    pose = server_state.pose_tenths(server.robot_of(context))
+    return Reply("configuration", dict(zip(server_state.POSE_SLOTS, pose, strict=True)))
 
 
 def get_rv(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the three velocities."""
     velocities = server_state.velocity_tenths(server.robot_of(context))
-    return Reply("velocity", dict(enumerate(velocities, start=_VELOCITY_SLOT)))
+    return Reply("velocity", dict(zip(server_state.VELOCITY_SLOTS, velocities, strict=True)))
 
 
 def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Return the three accelerations in the slots of the velocities; 0 where speeds change at once."""
     robot = server.robot_of(context)
     accelerations = server_state.axis_tenths(robot, robot.accelerations)
-    return Reply("velocity", dict(enumerate(accelerations, start=_VELOCITY_SLOT)))
+    return Reply("velocity", dict(zip(server_state.VELOCITY_SLOTS, accelerations, strict=True)))
 
 
 def held_by(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:

@@ -145,10 +145,9 @@ def _wanted_wall(world: World,
     """Return the row of an inner wall, its ends, and its new ends; None where there is none."""
     if "put" in wanted:
         return len(world.inner_walls), None, read_points(wanted["put"])
-    row = _row_of(world, read_points(wanted["wall"]))
-    x1, y1, x2, y2 = world.inner_walls[row].tolist()
-    was = ((x1, y1), (x2, y2))
-    return row, was, moved(was, wanted)
+    walls = [((x1, y1), (x2, y2)) for x1, y1, x2, y2 in world.inner_walls.tolist()]
+    row = _find(walls, read_points(wanted["wall"]), "wall: there is no inner wall with these ends")
+    return row, walls[row], moved(walls[row], wanted)
 
 
 def check_touches_no_robot(server: ServerState, ends: Sequence[Point], kind: str) -> None:
@@ -169,16 +168,6 @@ def _is_on_line(points: Sequence[Point], ends: Sequence[Point]) -> bool:
 def is_on_map(points: Sequence[Point]) -> bool:
     """Return True if all points are on the map."""
     return all(max(abs(x), abs(y)) <= MAX_COORDINATE_IN for x, y in points)
-
-
-def _row_of(world: World, ends: Sequence[Point]) -> int:
-    """Return the row of the last inner wall with these ends."""
-    wanted = np.ravel(np.asarray(ends, dtype=np.float64))
-    if wanted.shape == (4,):
-        rows = np.flatnonzero((np.abs(world.inner_walls - wanted) < CORNER_TOLERANCE_IN).all(axis=1))
-        if len(rows):
-            return int(rows[-1])
-    raise ControlError("wall: there is no inner wall with these ends, or it was changed meanwhile")
 
 
 def moved(points: Sequence[Point], wanted: Mapping[str, Any]) -> tuple[Point, ...] | None:
