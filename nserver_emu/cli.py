@@ -54,7 +54,7 @@ from nserver_emu import logs
 from nserver_emu.control import cli, snapshot
 from nserver_emu.control import commands as control_options
 from nserver_emu.control import recording as restore_options
-from nserver_emu.control.commands import controlled, may_have_faults
+from nserver_emu.control.commands import MAX_SPEED, controlled, may_have_faults
 from nserver_emu.control.recording import RunHeader, SaveFile, autosaved, replay, resolve_restore
 from nserver_emu.gateway import run as real_options
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
@@ -83,8 +83,6 @@ from worlds.io import DEFAULT_WORLD, load_world, world_names
 
 # The port that clients of the original use by default.
 DEFAULT_PORT = 7019
-# Value of --speed for as fast as possible.
-MAX_SPEED = "max"
 SETUP_SUFFIX = ".setup"
 # robot.setup and world.setup.
 MAX_SETUPS = 2

@@ -47,7 +47,7 @@ from nserver_emu.simulation import segments
 from nserver_emu.simulation.axis import Arm
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
 from nserver_emu.simulation.segments import PS_PER_S, Pose, to_ps, to_s
-from nserver_emu.simulation.sensors import lines, pixels, points
+from nserver_emu.simulation.sensors import NOTHING, lines, pixels, points
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import World
 
@@ -240,8 +240,6 @@ def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) 
     return (len(found), *np.where(found.ravel() < 0.0, -values, values).astype(int).tolist())
 
 
-# The infrared reading without an obstacle in range.
-INFRARED_NOTHING = 15
 # The clock is a 32-bit word of milliseconds: it wraps around after 50 days.
 CLOCK_WORD = 0xFFFFFFFF
 # State slots of speed, encoder pose and velocities.
@@ -363,7 +361,7 @@ def _sonar_word(reading_in: float) -> int:
 
 
 INFRARED: Final = StateSensor(
-    "infrared", range(1, 17), Position.INFRARED, INFRARED_NOTHING,
+    "infrared", range(1, 17), Position.INFRARED, NOTHING,
     lambda robot: None if robot.infrared is None else robot.infrared.readings,
     lambda robot, _: _ring_stamps(robot, types.INFRARED_KEYS, robot.infrared),
 )  # fmt: skip

@@ -44,7 +44,7 @@ from nserver_emu.simulation.segments import PS_PER_S, ConstantAccelerationSegmen
 from nserver_emu.simulation.sonar import MAX_ORDER, noisy_range, shifted
 from worlds import raycast, rings
 from worlds.compiled import checksum, compile_function, functions_of, make_compilable
-from worlds.geometry import FloatArray
+from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import ON_LINE_IN, ON_WALL_IN, mean_ahead, nearest_wall
 from worlds.rings import MAX_SONARS, quantized_range
 from worlds.robots import MAX_BUMPERS
@@ -132,7 +132,6 @@ def _high_word(a: Any, b: Any) -> Any:
 log = logging.getLogger(__name__)
 
 Records = npt.NDArray[np.void]
-BoolArray = npt.NDArray[np.bool_]
 
 NEVER_PS: Final = 2**63 - 1
 """An instant that is never reached."""

@@ -19,7 +19,7 @@ import numpy as np
 from nclient.errors import StartError
 from nclient.protocol.layouts import MOTION_LINE
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
+from nclient.protocol.types import SLOTS, heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server import session
 from nserver_emu.server.server_state import STATE_SENSORS, ServerState, add_laser, is_on, state_slots
 from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, done, error_reply
@@ -137,8 +137,6 @@ MAX_COORDINATE_IN: Final = 1e5
 TENTH_IN: Final = 0.1
 # A robot may touch an obstacle: overlap up to this does not count.
 MAX_OVERLAP_IN: Final = 1e-3
-# Number of State slots in a prediction: all but the error.
-_PREDICTED_SLOTS = 44
 # Arguments of motion_check are thousandths of the C call's numbers, which are tenths of an inch.
 _PATH_UNITS_PER_INCH = 10_000.0
 
@@ -259,7 +257,8 @@ def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple
     there = _predict(server, context, args).robot
     context.prediction = None
     slots, laser = add_laser(there, context, state_slots(there, server.clock.speed_tenths))
-    return Reply("prediction", values=tuple(slots[:_PREDICTED_SLOTS]), laser=laser)
+    # All slots but the error.
+    return Reply("prediction", values=tuple(slots[:SLOTS]), laser=laser)
 
 
 def prepare_prediction(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Iterator[None]:
