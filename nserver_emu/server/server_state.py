@@ -612,14 +612,8 @@ class ServerState:
             return True
         # 1. The usual cases: nothing. A connection that polls has read all sensors of now.
         cached, snapshot = context.cached_state, self._snapshots.get(context.robot_id)
-        if (
-            call is None
-            and cached is not None
-            and snapshot is not None
-            and cached.snapshot is snapshot
-            and cached.mask is context.wire_state.mask
-            and snapshot.time_ps == self.simulation.time_ps
-        ):
+        is_of_now = snapshot is not None and snapshot.time_ps == self.simulation.time_ps
+        if call is None and is_of_now and cached is not None and cached.is_for(snapshot, context.wire_state):
             return True
         end_s, steps = time.thread_time() + PREPARING_S, self._preparation_steps(context, call)
         if next(steps, _COMPLETE) is _COMPLETE:
@@ -718,12 +712,7 @@ class ServerState:
             self._snapshots[context.robot] = snapshot
         cached = context.cached_state
         # A robot's own lines share mask and laser mode, so another connection may change them.
-        if (
-            cached is None
-            or cached.snapshot is not snapshot
-            or cached.mask is not wire_state.mask
-            or cached.laser_mode != wire_state.laser_mode
-        ):
+        if cached is None or not cached.is_for(snapshot, wire_state):
             reply = build_state_reply(robot, context, snapshot)
             cached = CachedStateReply(snapshot, wire_state.mask, wire_state.laser_mode, reply)
             context.cached_state = cached

@@ -124,6 +124,11 @@ class CachedStateReply:
     # Its frame by command, once it was sent.
     frames: dict[str, bytes] = field(default_factory=dict)
 
+    def is_for(self, snapshot: object, wire_state: WireState) -> bool:
+        """Return True if it was built from this snapshot and these settings of the connection."""
+        return (self.snapshot is snapshot and self.mask is wire_state.mask
+                and self.laser_mode == wire_state.laser_mode)
+
 
 @dataclass(slots=True, eq=False)
 class ConnectionContext:
