@@ -621,14 +621,14 @@ class TcpConnection(ConnectionHandler, asyncio.BufferedProtocol):
 
 
 class Job(Protocol):
-    """A connection, or anything else that shares the event loop. All attributes begin with False or 0."""
+    """A connection, or anything else that shares the event loop."""
 
     # True while it waits in the queue; set to False to withdraw it.
-    is_queued: bool
+    is_queued: bool = False
     # Virtual time at which its last service ended; its next start tag is not before this.
-    finish_tag_s: float
+    finish_tag_s: float = 0.0
     # Processor time that its work has taken so far.
-    cpu_s: float
+    cpu_s: float = 0.0
 
     def run_turn(self) -> None:
         """Do the work of one turn, and submit the job again if some is left.

@@ -90,8 +90,7 @@ class PseudoTerminal:
         """Discard what a host has not read and restore raw mode, after it closed its end."""
         other = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
-            tty.setraw(other, termios.TCSANOW)
-            self._set_own_baud(other)
+            self._set_raw(other)
             termios.tcflush(other, termios.TCIFLUSH)
         finally:
             os.close(other)
@@ -123,8 +122,7 @@ class PseudoTerminal:
         fd, other = os.openpty()
         try:
             self.device = os.ttyname(other)
-            tty.setraw(other, termios.TCSANOW)
-            self._set_own_baud(other)
+            self._set_raw(other)
             os.set_blocking(fd, False)
             _link(self.path, self.device)
         except BaseException:
@@ -145,8 +143,9 @@ class PseudoTerminal:
             return True
 
     @staticmethod
-    def _set_own_baud(file: int) -> None:
-        """Set the robot's baud rate: hosts that set none find the port so."""
+    def _set_raw(file: int) -> None:
+        """Set raw mode and the robot's baud rate: hosts that set none find the port so."""
+        tty.setraw(file, termios.TCSANOW)
         settings = termios.tcgetattr(file)
         settings[_INPUT_SPEED] = settings[_OUTPUT_SPEED] = termios.B38400
         termios.tcsetattr(file, termios.TCSANOW, settings)

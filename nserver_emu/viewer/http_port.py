@@ -39,7 +39,7 @@ from aiohttp.http import HttpProcessingError
 from nclient.errors import ConnectionLost, NomadError
 from nclient.transports.listener import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, parse_listen_address
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol, at_port, listen
-from nserver_emu.server.connection import FairScheduler, TokenBucket, end_task
+from nserver_emu.server.connection import FairScheduler, Job, TokenBucket, end_task
 
 log = logging.getLogger(__name__)
 
@@ -291,15 +291,13 @@ class PageWriter:
         await self._socket.send_str(text)
 
 
-class PageMessages:
+class PageMessages(Job):
     """Handles the messages of one page in turns of the event loop that connections share (a `Job`).
 
     `rate` is the limit of messages per second, 0 for none.
     """
 
     def __init__(self, scheduler: FairScheduler, handle: Callable[[str], None], rate: int) -> None:
-        self.is_queued = False
-        self.finish_tag_s = self.cpu_s = 0.0
         self._scheduler = scheduler
         self._handle = handle
         self._limit = TokenBucket(rate, 1, loop_time()) if rate else None
