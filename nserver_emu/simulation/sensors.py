@@ -349,8 +349,7 @@ class InfraredRing:
         """Compute the readings of the oldest flash: each depends on the previous one."""
         ranges, previous = self._ranges(self._pending.popleft()), self._history / TENTHS
         for number in self._order:
-            level = min(float(ranges[number]), NOTHING) if ranges[number] <= INFRARED_RANGE_IN else float(NOTHING)
-            level = float(floor(max(level, 0.0) + 0.5))
+            level = float(floor(min(max(float(ranges[number]), 0.0), NOTHING) + 0.5))
             self._levels[number] = previous * self._levels[number] + (1.0 - previous) * level
 
     def _ranges(self, flash: Flash) -> FloatArray:

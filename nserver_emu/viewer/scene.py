@@ -76,17 +76,14 @@ def laser_modes(connections: Iterable[ConnectionHandler], robots: Collection[int
         context = connection.session.context
         if connection.is_connected and connection.line != VIEWER and context.robot_id in found:
             found[context.robot_id].append((connection.session.name, context.wire_state.laser_mode))
-    return {number: sorted(clients, key=_on_first)[:MAX_NAMED] for number, clients in found.items()}
+    # Those with the laser on first, each by name.
+    return {number: sorted(clients, key=lambda client: (not is_on(client[1]), client[0]))[:MAX_NAMED]
+            for number, clients in found.items()}
 
 
 def is_shown(clients: list[tuple[str, int]]) -> bool:
     """Return True if the laser of a robot with these clients is shown."""
     return not clients or any(is_on(mode) for _, mode in clients)
-
-
-def _on_first(client: tuple[str, int]) -> tuple[bool, Any]:
-    name, mode = client
-    return not is_on(mode), name
 
 
 MAX_REVISIONS: Final = 64
