@@ -31,7 +31,7 @@ from nclient.common.files import write_errors_as
 from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
-from worlds.io import DEFAULT_WORLD, load_world
+from worlds.io import DEFAULT_WORLD, format_world, load_world, parse_world
 from worlds.robots import BODIES, IDEAL_CALIBRATION, N150, Body, load_bodies, load_calibration
 from worlds.world import World
 
@@ -142,12 +142,6 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
                              "simulations, cones for robots)")  # fmt: skip
 
 
-def add_sonar_model(parser: argparse.ArgumentParser) -> None:
-    """Add the option of the sonar model, without a robot that decides it."""
-    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
-                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
-
-
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
     """Add the option of the odometry's random errors."""
     add_value(parser, "--odometry-noise", "A,B,C", parse_odometry_noise,
@@ -222,11 +216,6 @@ def is_lockstep(address: str | None) -> bool:
     return split_address(address_or_default(address)).scheme == SIMULATION
 
 
-def report_wait(words: str) -> None:
-    """Show what is waited for, on stderr."""
-    print(f"nomad: {words}", file=sys.stderr, flush=True)
-
-
 def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prints: bool = False) -> list[Floats]:
     """Return the poses (3,) that look like that of an initial belief, and print them; none for a wide belief."""
     if is_wide(belief):
@@ -252,6 +241,27 @@ def make_folder(folder: Path) -> None:
     """Create a folder for results before anything is run. Raises OutputFileError."""
     with write_errors_as(OutputFileError, folder):
         folder.mkdir(parents=True, exist_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a result. Raises OutputFileError."""
+    with write_errors_as(OutputFileError, path):
+        path.write_text(text, encoding="utf-8")
+
+
+def write_world(path: Path, world: World, comment: str) -> World:
+    """Write a world file whose comment states how it was made, and return the world that it describes.
+
+    Its text is read first, as any other: starts and paths must still be in free space.
+
+    Raises
+    ------
+    WorldFileError, OutputFileError
+    """
+    text = format_world(world, comment)
+    written = parse_world(text, str(path), world.name)
+    write_text(path, text)
+    return written
 
 
 def check_writable(*files: Path | None) -> None:
