@@ -31,6 +31,7 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
+from nclient.common.files import read_errors_as
 from nclient.errors import AddressError, LogFileError, RecordingError, RobotRefused, suggest
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
 from nclient.recording import convert
@@ -415,12 +416,10 @@ def read_log(file: Path) -> list[LogRow]:
     """
     if file.suffix != ".csv" and convert.may_be_drive(file):
         return _rows_of_drive(file)
-    try:
+    with read_errors_as(LogFileError, file):
         if file.stat().st_size > MAX_BYTES:
             raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
         text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogFileError(f"{file}: cannot be read: {error}") from error
     try:
         series = TimeSeries(text, str(file), {**_UNITS, SONAR: _IN_PER, **_UNUSED})
         _check_columns(series, file)

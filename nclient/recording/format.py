@@ -31,7 +31,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from nclient.common.files import write_error_hint, write_errors_as
+from nclient.common.files import read_errors_as, write_error_hint, write_errors_as
 from nclient.errors import RecordingError
 
 log = logging.getLogger(__name__)
@@ -185,15 +185,8 @@ def read_recording(path: Path) -> Recording:
     RecordingError
         If the file cannot be read or is no recording; the message has file, line and remedy.
     """
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return _recording(file, str(path))
-    except RecordingError:
-        raise
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
+    with read_errors_as(RecordingError, path), path.open(encoding="utf-8", errors="replace") as file:
+        return _recording(file, str(path))
 
 
 def parse_recording(text: str, name: str) -> Recording:
