@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
@@ -87,11 +88,9 @@ def watch(robot: Robot, parts: list[str], looks: int | None, every_s: float, *, 
           sleep: Callable[[float], None]) -> None:
     """Show the state `looks` times, forever if None; on a terminal each time in the same place."""
     in_place = sys.stdout.isatty() and looks != 1 and not as_json
-    looked = 0
-    while looks is None or looked < looks:
-        if looked:
+    for look in count() if looks is None else range(looks):
+        if look:
             sleep(every_s)
-        looked += 1
         state = robot.refresh()
         if as_json:
             print(json.dumps(state_text.as_json(state)), flush=True)
