@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -296,16 +296,9 @@ def resolve_world(options: argparse.Namespace, map_name: str = "") -> World:
 # the initial belief
 
 
-class LocalizationSetup(NamedTuple):
-    """Initial belief, models, and the assumed sonar model."""
-
-    belief: Belief
-    config: LocalizationConfig
-    sonars: assumptions.SonarAssumption
-
-
-def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace) -> LocalizationSetup:
-    """Set the encoders if --start is given, and return the initial belief and the models.
+def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace
+                         ) -> tuple[Belief, LocalizationConfig, assumptions.SonarAssumption]:  # fmt: skip
+    """Set the encoders if --start is given, and return the initial belief, the models and the assumed sonar model.
 
     A guessed sonar model is printed on stdout (stderr with --json).
 
@@ -333,7 +326,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     sonar = with_wall_errors(sonar, world)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
-    return LocalizationSetup(belief, config, sonars)
+    return belief, config, sonars
 
 
 def find_sonar_model(robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body,

@@ -96,7 +96,9 @@ def run(options: argparse.Namespace) -> int:
     world = arguments.resolve_world(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
-    _require_free_space(world, points)
+    for x, y in points:
+        if world.clearance(x, y) <= 0.0:
+            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
     check_picture(options.picture)
@@ -232,13 +234,6 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []
-
-
-def _require_free_space(world: World, points: Sequence[tuple[float, float]]) -> None:
-    """Raise WorldFileError for a waypoint outside of the free space of a map."""
-    for x, y in points:
-        if world.clearance(x, y) <= 0.0:
-            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
 
 
 def _require_free_legs(world: World, points: Sequence[tuple[float, float]]) -> None:

@@ -227,7 +227,9 @@ MIN_TIMEOUT_S: Final = 2
 """The robot counts whole seconds: one is too short to split a ws."""
 _INTERVALS_PER_TIMEOUT: Final = 3
 """A request that is lost, and one after it, still leave time for a third."""
-_SPEED_SLOT, _REAL_TIME = 0, 10
+SPEED_SLOT: Final = 0
+REAL_TIME: Final = 10
+"""State[0] of a server whose time runs as fast as real time."""
 _MIN_INTERVAL_S: Final = 0.005
 _GS, _ST = Call("gs"), Call("st")
 _Event = Literal["closed", "dropped"]
@@ -345,9 +347,9 @@ class KeepAlive(Wrapper):
         return reply
 
     def _update_speed(self, reply: Reply) -> None:
-        speed = reply.slots.get(_SPEED_SLOT)
+        speed = reply.slots.get(SPEED_SLOT)
         if speed is not None:
-            self._speed = speed / _REAL_TIME
+            self._speed = speed / REAL_TIME
 
 
 def _poll_until_end(reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event],

@@ -13,7 +13,7 @@ import time
 from functools import lru_cache
 from typing import Final
 
-from nclient.backends.base import LinkStatistics
+from nclient.backends.base import REAL_TIME, SPEED_SLOT, LinkStatistics
 from nclient.errors import HELD, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
@@ -28,9 +28,6 @@ ORDINARY_S: Final = 1.0
 """Commands that a robot answers within this time have the session's timeout, slower ones their own."""
 CLICK_S: Final = 120.0
 """get_robot_conf may wait for a click in the server's window."""
-SPEED_SLOT: Final = 0
-REAL_TIME: Final = 10
-"""State[0] of a server whose time runs as fast as real time."""
 _NO_REPLY: Final = Reply("none")
 _PORT_0_MEANS: Final = {
     "connect_robot": "the server has no robot number {}",

@@ -508,7 +508,10 @@ class ReconnectingBackend(Wrapper):
             reply = self._inner.execute(call)
         except NomadError:
             if self._inner.closed and not self._closed.is_set():
-                self._count_loss()
+                if self.link is not None:
+                    self.link.losses += 1
+                self._pause_s = 0.0
+                self._schedule_attempt()
             raise
         # 3. Only what was answered is restored later.
         self._settings.record(call)
@@ -520,12 +523,6 @@ class ReconnectingBackend(Wrapper):
         """Close for good; a pause before an attempt ends."""
         self._closed.set()
         self._inner.close()
-
-    def _count_loss(self) -> None:
-        if self.link is not None:
-            self.link.losses += 1
-        self._pause_s = 0.0
-        self._schedule_attempt()
 
     def _schedule_attempt(self) -> None:
         self._pause_s = min(max(MIN_PAUSE_S, 2 * self._pause_s), self._max_pause_s)

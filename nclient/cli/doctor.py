@@ -464,8 +464,7 @@ def _check(address: str, options: argparse.Namespace, search: dict[str, object] 
         print(json.dumps({"address": address, "model": chart.model, "worst": grade.name, "findings": _dicts(findings)}
                          | (search or {})))
     else:
-        for finding in findings:
-            print(finding)
+        print(*findings, sep="\n")
     return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
 
 
@@ -502,8 +501,7 @@ def _search(options: argparse.Namespace) -> int:
         grade = Grade.OK if found else Grade.FAIL
         print(json.dumps({"addresses": found, "worst": grade.name, "findings": _dicts(findings)}))
     else:
-        for finding in findings:
-            print(finding)
+        print(*findings, sep="\n")
         for address in found:
             print(f"      next: nomad doctor {shlex.quote(address)}")
     if is_nserver:

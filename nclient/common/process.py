@@ -150,11 +150,9 @@ def handle_broken_pipe(error: OSError, command: str) -> ExitCode:
 
 def _discard_stdout() -> None:
     """Redirect stdout to /dev/null, so that the interpreter's flush at exit does not fail again."""
-    try:
+    # Unless stdout is not a file of the operating system.
+    with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):
-        # stdout is not a file of the operating system.
-        return
 
 
 PROGRESS_S: Final = 1.0
