@@ -32,7 +32,7 @@ from nclient.backends import wrappers
 from nclient.backends.base import Backend, KeepAlive, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.errors import AddressError, ConnectionLost, RecordingError
+from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.inject import FaultyLine, FaultyStream, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
@@ -273,11 +273,7 @@ class Connector:
         """Read a recording, or a file of another program as a drive."""
         from nclient.recording import convert  # here: formats of others are seldom read
 
-        try:
-            foreign = convert.format_of_file(path) != convert.RECORDING
-        except RecordingError:
-            foreign = False  # reading it as a recording explains what is wrong
-        if not foreign:
+        if convert.is_recording(path):
             self._recording = read_recording(path)
             return
         drive = convert.read_drive(path)

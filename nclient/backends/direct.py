@@ -140,13 +140,11 @@ class SerialLink:
 
     def clear_input(self) -> None:
         """Read and drop what has arrived, so that it does not answer the next request."""
-        try:
+        with contextlib.suppress(ReplyTimeout):
             for _ in range(MAX_CLEAR_READS):
                 for frame in self._framer.receive(self._stream.receive(self.deadline(0))):
                     self._matches_last_request(frame)
                     self._statistics.strays += 1
-        except ReplyTimeout:
-            pass
         self._framer.clear()
         self._update_statistics()
 

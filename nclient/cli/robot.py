@@ -148,14 +148,12 @@ class StopCommand:
         connector = Connector(parse_address(address_or_default(options.address)))
         if options.address is None:
             print_message(f"stopping {connector.address.text}")
-        connect = connector.open_session if connector.wire == TCP else _stop_first_connector(connector)
+        connect = connector.open_session
+        if connector.wire != TCP:
+            timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
+            start_session = partial(connector.start_session, hello=False)
+            connect = StopFirstConnector(connector.open_stream, start_session, connector.model, timeout_s)
         return RobotStopper(connect, time.monotonic, time.sleep).run(options.patience)
-
-
-def _stop_first_connector(connector: Connector) -> StopFirstConnector:
-    timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
-    start_session = partial(connector.start_session, hello=False)
-    return StopFirstConnector(connector.open_stream, start_session, connector.model, timeout_s)
 
 
 @dataclass

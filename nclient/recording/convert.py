@@ -187,7 +187,10 @@ def format_of_file(path: Path) -> str:
 
 
 def is_recording(path: Path) -> bool:
-    """Return True for a recording of this project, or a file of no format that is read here."""
+    """Return True for a recording of this project, or a file of no format that is read here.
+
+    Reading such a file as a recording explains what is wrong.
+    """
     try:
         return format_of_file(path) == RECORDING
     except RecordingError:
