@@ -57,7 +57,7 @@ class NserverBackend:
     model
         The robot's model; the protocol does not transmit it.
     timeout_s
-        Maximum time for a reply; ws, zr and special packets have time of their own.
+        Maximum time for a reply, default 5 s; ws, zr and special packets have time of their own.
     create
         True to create the robot first.
     pid
@@ -74,9 +74,9 @@ class NserverBackend:
     """
 
     def __init__(self, stream: ByteStream, *, robot_id: int = 1, model: Model = N150,
-                 timeout_s: float = DEFAULT_TIMEOUT_S, create: bool = False, pid: int | None = None,
+                 timeout_s: float | None = None, create: bool = False, pid: int | None = None,
                  link: LinkStatistics | None = None) -> None:
-        self.timeout_s = timeout_s
+        self.timeout_s = DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s
         self.robot_id = robot_id
         self.link = link
         """Statistics of the link, None if nothing is counted."""

@@ -241,8 +241,7 @@ def _find_command(name: str) -> Command:
 class _JoinHex(argparse.Action):
     """Converts hex digits, which may be split over several words at any place, to bytes."""
 
-    def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:
-        del parser, option_string
+    def __call__(self, _: object, namespace: Any, values: Any, _option: object = None) -> None:
         try:
             setattr(namespace, self.dest, bytes.fromhex("".join(values)))
         except ValueError:

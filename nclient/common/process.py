@@ -79,8 +79,7 @@ def handle_termination_signals() -> Iterator[None]:
     handled = [number for number in present if before[number] not in (signal.SIG_IGN, None)]
     terminals = [output for output in _OUTPUTS if os.isatty(output)]
 
-    def terminate(number: int, frame: FrameType | None) -> NoReturn:
-        del frame
+    def terminate(number: int, _: FrameType | None) -> NoReturn:
         for other in handled:
             signal.signal(other, signal.SIG_IGN)
         _redirect_closed_terminals(terminals)
