@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
     # 2. Drive.
     robot, simulated = arguments.open_robot(options.address)
     done = Run(points)
-    with robot:
+    with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
@@ -116,9 +116,6 @@ def run(options: argparse.Namespace) -> int:
             if done.moments:
                 _write_results(options, world, done)
             raise
-        finally:
-            if publisher:
-                publisher.close()
     # 3. Results.
     written = _write_results(options, world, done)
     if done.reached < len(done.waypoints):
