@@ -20,7 +20,7 @@ from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
 from nclient.protocol.replies import STATE, Reply, TcpLayout, text_of
 from nclient.protocol.types import EVERYTHING, N150, Mask, Model, tcp_wire_state
-from nclient.transports.stream import ByteStream, Deadline
+from nclient.transports.stream import ByteStream, Deadline, on_error
 
 DEFAULT_TIMEOUT_S: Final = 5.0
 """Maximum time for a reply."""
@@ -94,14 +94,11 @@ class NserverBackend:
         self._slowness = 1.0
         """Real time per server time, at least 1."""
         self._closed_because: str | None = None
-        try:
+        with on_error(lambda: self._finish("connecting failed")):
             connecting = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
             # The port is where the server accepts connections, the greeting the state at that time.
             self.port = self.execute(connecting).values[0]
             self.greeting = self.execute(Call("ct", EVERYTHING.smask))
-        except BaseException:
-            self._finish("connecting failed")
-            raise
 
     @property
     def closed(self) -> bool:

@@ -29,6 +29,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, SCOUT_WHEEL_IN_PER_DEG, Model
+from nclient.transports.stream import on_error
 
 ACCEPTED_AFTER: Final = 3
 """Inconsistent replies of one kind in a row, of which the last is accepted."""
@@ -543,12 +544,9 @@ class ReconnectingBackend(Wrapper):
 
     def _open_and_restore(self) -> Backend:
         backend = self._open_session()
-        try:
+        with on_error(backend.close):
             for call in self._settings.calls():
                 backend.execute(call)
-        except BaseException:
-            backend.close()
-            raise
         return backend
 
 

@@ -25,7 +25,7 @@ from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
 from nclient.state import RobotState
-from nclient.transports.stream import ByteStream
+from nclient.transports.stream import ByteStream, on_error
 from nclient.url import available_schemes, is_port_name, parse_address
 
 EVERY_S = 1.0
@@ -187,12 +187,9 @@ class StopFirstConnector:
         """Connect to a robot, which has replied to st. Raises as send_emergency_stop and `start_session` do."""
         # Any exception closes the line, so that the next attempt can open it again.
         stream = self.open_stream()
-        try:
+        with on_error(stream.close):
             self.replies.append(send_emergency_stop(stream, self.timeout_s, self.clock, self._count_stop).data)
             return self.start_session(stream)
-        except BaseException:
-            stream.close()
-            raise
 
     def describe_unreadable(self) -> str:
         """Return a message for a robot that replied to st, but to nothing else that could be read."""

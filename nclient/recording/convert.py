@@ -13,7 +13,6 @@ MCAP and bags need the extra `ros` (nclient/recording/ros.py).
 """
 
 import codecs
-import contextlib
 import csv
 import math
 import shutil
@@ -30,6 +29,7 @@ from nclient.errors import ExtraMissing, RecordingError, install_hint
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive, ring_of
 from nclient.recording.format import FORMAT, escape_controls, parse_recording
+from nclient.transports.stream import on_error
 
 RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
 SUFFIXES: Final = {
@@ -253,24 +253,19 @@ def write_drive(drive: Drive, path: Path) -> None:
     name = format_to_write(path)
     drive.omitted += _not_held(drive, name)
     lines_of = {RECORDING: recording_of_drive, CSV: csv_lines, CARMEN: carmen_lines}
-    with write_errors_as(RecordingError, path), _removed_on_error(path):
+    with write_errors_as(RecordingError, path), on_error(lambda: _remove(path)):
         if name in lines_of:
             path.write_text("".join(f"{line}\n" for line in lines_of[name](drive)), encoding="utf-8")
         else:
             _ros().write(drive if _has_equal_angles(drive) else _without_ranges(drive), path, name)
 
 
-@contextlib.contextmanager
-def _removed_on_error(path: Path) -> Iterator[None]:
-    """Remove what was written of a file or folder if the block fails."""
-    try:
-        yield
-    except BaseException:
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-        raise
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _not_held(drive: Drive, name: str) -> Iterator[str]:
