@@ -14,7 +14,6 @@ import numpy as np
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
-from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
@@ -433,7 +432,7 @@ def save_estimate(options: argparse.Namespace, world: World, estimate: saved_est
     """
     if options.save is None:
         return
-    if estimate.health.status is HealthStatus.LOST:
+    if estimate.health.is_lost:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
     belief = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])
