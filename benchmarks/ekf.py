@@ -29,7 +29,7 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import update_ring
 from localization.filters.odometry import OdometryNoise, predict, process_covariance, step_jacobians
-from localization.filters.particles import MonteCarlo
+from localization.filters.particles import PARTICLES
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar, expected_echoes, reflectors
 from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, observe_ring, ranges_from, wall_map
@@ -335,7 +335,7 @@ def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Resul
         compiled_ratio=filterpy_us / fast[0][0],
         stonesoup_us=stonesoup_us,
         stonesoup_ratio=stonesoup_us / rays_16[0],
-        particles=MonteCarlo().particles,
+        particles=PARTICLES,
         particles_rays_ms=rays_ms,
         particles_cones_ms=cones_ms,
         batch_seeds=seeds,

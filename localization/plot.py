@@ -136,8 +136,13 @@ def _errors(run: Run) -> Floats:
     return np.array([np.full(POSE, np.nan) if error is None else error for error in found])
 
 
-def check_picture(path: Path) -> None:
-    """Raise OutputFileError if the path is not a PNG's, and PlotExtraMissing if matplotlib is missing."""
+def check_picture(path: Path | None) -> None:
+    """Raise OutputFileError if the path is not a PNG's, and PlotExtraMissing if matplotlib is missing.
+
+    Without a path no picture is drawn.
+    """
+    if path is None:
+        return
     if path.is_dir() or path.suffix.lower() != SUFFIX:
         raise OutputFileError(f"{str(path)!r}: pictures are written as PNG: name a file that ends in {SUFFIX}")
     drawing.require_matplotlib()

@@ -31,8 +31,8 @@ from nclient.aio import AsyncRobot
 from nclient.backends import wrappers
 from nclient.backends.base import Backend, KeepAlive, LinkStatistics
 from nclient.backends.direct import DirectBackend
-from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.errors import AddressError, ConnectionLost, RecordingError
+from nclient.backends.nserver import NserverBackend
+from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.inject import FaultyLine, FaultyStream, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
@@ -210,7 +210,7 @@ class Connector:
             stream,
             robot_id=self._replayed.robot_id if self._replayed else self.robot_id,
             model=self.model,
-            timeout_s=DEFAULT_TIMEOUT_S if self.timeout_s is None else self.timeout_s,
+            timeout_s=self.timeout_s,
             create=self._create and not self._replayed,
             # Over TCP there is little to count except losses, so that counting is left out without reconnect=.
             link=self.link if self.address.options.reconnect else None,
@@ -273,11 +273,7 @@ class Connector:
         """Read a recording, or a file of another program as a drive."""
         from nclient.recording import convert  # here: formats of others are seldom read
 
-        try:
-            foreign = convert.format_of_file(path) != convert.RECORDING
-        except RecordingError:
-            foreign = False  # reading it as a recording explains what is wrong
-        if not foreign:
+        if convert.is_recording(path):
             self._recording = read_recording(path)
             return
         drive = convert.read_drive(path)
@@ -411,8 +407,7 @@ def open_machine(name: str, port: int, options: ConnectOptions = ConnectOptions(
     if address is None:
         stream = _open_tcp(name, port, options.timeout_s)
         robot_id = DEFAULT_ROBOT_ID if options.robot_id is None else options.robot_id
-        timeout_s = DEFAULT_TIMEOUT_S if options.timeout_s is None else options.timeout_s
-        return NserverBackend(stream, robot_id=robot_id, timeout_s=timeout_s, create=options.create)
+        return NserverBackend(stream, robot_id=robot_id, timeout_s=options.timeout_s, create=options.create)
     try:
         return open_backend(address, options)
     except AddressError as error:

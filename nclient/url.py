@@ -381,15 +381,14 @@ _HOST_AND_PORT: Final = re.compile(r"[\w.-]+:\d+(?:/\d*)?(?:\?|$)")
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:
     schemes = available_schemes()
-    # A host and a port: the port shows the likely scheme.
     if _HOST_AND_PORT.match(raw.text):
+        # A host and a port: the port shows the likely scheme.
         scheme = "robotd" if f":{DEFAULT_LINE_PORT}" in raw.text else "nserver"
         hint = f"did you mean {scheme}://{raw.text}? "
-        return AddressError(f"{raw.text!r} is no address: {hint}There are {', '.join(f'{each}:' for each in schemes)} "
-                            f"{EXAMPLES}")
-    # Without a colon the first word may be a mistyped scheme.
-    name = raw.scheme or raw.text.partition("/")[0].lower()
-    hint = suggest(name, schemes, before="", after=":? ")
+    else:
+        # Without a colon the first word may be a mistyped scheme.
+        name = raw.scheme or raw.text.partition("/")[0].lower()
+        hint = suggest(name, schemes, before="", after=":? ")
     return AddressError(
         f"{raw.text!r} is no address: {hint}There are {', '.join(f'{each}:' for each in schemes)} {EXAMPLES}"
     )

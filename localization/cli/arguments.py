@@ -7,14 +7,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
 from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
-from localization.filters.health import HealthStatus
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
 from localization.filters.sonar_cone import building_sonar
@@ -31,7 +30,7 @@ from nclient.common.files import write_errors_as
 from nclient.connector import address_or_default
 from nclient.errors import EstimateFileError, OutputFileError
 from nclient.url import parse_address, split_address
-from worlds.io import DEFAULT_WORLD, load_world
+from worlds.io import DEFAULT_WORLD, format_world, load_world, parse_world
 from worlds.robots import BODIES, IDEAL_CALIBRATION, N150, Body, load_bodies, load_calibration
 from worlds.world import World
 
@@ -142,12 +141,6 @@ def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
                              "simulations, cones for robots)")  # fmt: skip
 
 
-def add_sonar_model(parser: argparse.ArgumentParser) -> None:
-    """Add the option of the sonar model, without a robot that decides it."""
-    parser.add_argument("--sonars", choices=("rays", "cones"), default="cones",
-                        help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
-
-
 def add_odometry_noise(parser: argparse.ArgumentParser) -> None:
     """Add the option of the odometry's random errors."""
     add_value(parser, "--odometry-noise", "A,B,C", parse_odometry_noise,
@@ -222,11 +215,6 @@ def is_lockstep(address: str | None) -> bool:
     return split_address(address_or_default(address)).scheme == SIMULATION
 
 
-def report_wait(words: str) -> None:
-    """Show what is waited for, on stderr."""
-    print(f"nomad: {words}", file=sys.stderr, flush=True)
-
-
 def find_alike(world: World, config: LocalizationConfig, belief: Belief, *, prints: bool = False) -> list[Floats]:
     """Return the poses (3,) that look like that of an initial belief, and print them; none for a wide belief."""
     if is_wide(belief):
@@ -252,6 +240,27 @@ def make_folder(folder: Path) -> None:
     """Create a folder for results before anything is run. Raises OutputFileError."""
     with write_errors_as(OutputFileError, folder):
         folder.mkdir(parents=True, exist_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a result. Raises OutputFileError."""
+    with write_errors_as(OutputFileError, path):
+        path.write_text(text, encoding="utf-8")
+
+
+def write_world(path: Path, world: World, comment: str) -> World:
+    """Write a world file whose comment states how it was made, and return the world that it describes.
+
+    Its text is read first, as any other: starts and paths must still be in free space.
+
+    Raises
+    ------
+    WorldFileError, OutputFileError
+    """
+    text = format_world(world, comment)
+    written = parse_world(text, str(path), world.name)
+    write_text(path, text)
+    return written
 
 
 def check_writable(*files: Path | None) -> None:
@@ -286,16 +295,9 @@ def resolve_world(options: argparse.Namespace, map_name: str = "") -> World:
 # the initial belief
 
 
-class LocalizationSetup(NamedTuple):
-    """Initial belief, models, and the assumed sonar model."""
-
-    belief: Belief
-    config: LocalizationConfig
-    sonars: assumptions.SonarAssumption
-
-
-def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace) -> LocalizationSetup:
-    """Set the encoders if --start is given, and return the initial belief and the models.
+def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace
+                         ) -> tuple[Belief, LocalizationConfig, assumptions.SonarAssumption]:  # fmt: skip
+    """Set the encoders if --start is given, and return the initial belief, the models and the assumed sonar model.
 
     A guessed sonar model is printed on stdout (stderr with --json).
 
@@ -323,7 +325,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
     sonar = with_wall_errors(sonar, world)
     config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
-    return LocalizationSetup(belief, config, sonars)
+    return belief, config, sonars
 
 
 def find_sonar_model(robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body,
@@ -430,7 +432,7 @@ def save_estimate(options: argparse.Namespace, world: World, estimate: saved_est
     """
     if options.save is None:
         return
-    if estimate.health.status is HealthStatus.LOST:
+    if estimate.health.is_lost:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
     belief = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])

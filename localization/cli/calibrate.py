@@ -32,9 +32,8 @@ from localization.navigation.roadmap import NoPathError, Roadmap, segment_cleara
 from localization.navigation.waypoints import follow_waypoints, start_localizer
 from nclient import Robot
 from nclient.common.arguments import add_address, add_flag, add_value, whole_number
-from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode
-from nclient.errors import NomadError, OutputFileError
+from nclient.errors import NomadError
 from worlds.geometry import polygon_segments
 from worlds.robots import Calibration, Spread, calibration_as_json, format_calibration
 from worlds.world import World
@@ -461,8 +460,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
         comment = f"nomad calibrate, in {world.name}: {laps} laps in each direction, {options.spins} turns per corner"
-        with write_errors_as(OutputFileError, options.out):
-            options.out.write_text(format_calibration(options.body, found, comment), encoding="utf-8")
+        arguments.write_text(options.out, format_calibration(options.body, found, comment))
     return 0
 
 
@@ -504,8 +502,7 @@ def _square_of(world: World, radius_in: float, start: tuple[float, ...], options
     """Return the square of --square, or the largest that fits. Raises NoSquareError."""
     square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
     if not is_clear(square, world, radius_in):
-        reason = f"the square {tuple(square)} comes too near to walls: choose another, or omit --square"
-        raise NoSquareError(reason)
+        raise NoSquareError(f"the square {tuple(square)} comes too near to walls: choose another, or omit --square")
     return square
 
 

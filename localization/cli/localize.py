@@ -13,7 +13,6 @@ import argparse
 import contextlib
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -39,6 +38,7 @@ from localization.navigation.control_law import ContactDetector, MisfitDetector,
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, follow_waypoints, start_localizer
 from localization.plot import check_picture, draw_run
 from nclient import NomadError, Robot, WorldFileError
+from nclient.cli.serving import print_message
 from nclient.common.arguments import add_address, add_flag, add_value
 from nclient.common.process import ExitCode, TerminatedBySignal
 from nclient.recording import convert
@@ -96,16 +96,17 @@ def run(options: argparse.Namespace) -> int:
     world = arguments.resolve_world(options)
     arguments.check_writable(options.save)
     points = _goals(options, world)
-    _require_free_space(world, points)
+    for x, y in points:
+        if world.clearance(x, y) <= 0.0:
+            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
     given = [options.start[:2]] if options.start and options.start != arguments.UNKNOWN else []
     _require_free_legs(world, [*given, *points])
-    if options.picture is not None:
-        check_picture(options.picture)
+    check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
     # 2. Drive.
     robot, simulated = arguments.open_robot(options.address)
     done = Run(points)
-    with robot:
+    with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
@@ -115,9 +116,6 @@ def run(options: argparse.Namespace) -> int:
             if done.moments:
                 _write_results(options, world, done)
             raise
-        finally:
-            if publisher:
-                publisher.close()
     # 3. Results.
     written = _write_results(options, world, done)
     if done.reached < len(done.waypoints):
@@ -155,7 +153,7 @@ def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool
             write(options, world, done)
         except NomadError as error:
             written = False
-            print(f"nomad: {error}", file=sys.stderr)
+            print_message(str(error))
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
     return written
 
@@ -182,7 +180,7 @@ def _drive(robot: Robot, world: World, done: Run, options: argparse.Namespace, s
     waits = arguments.is_lockstep(options.address)
     done.alike = [] if start is None else arguments.find_alike(world, config, start, prints=not options.json)
     with filter_on_robot(
-        options.method, config, start, options.scale_std, waits=waits, report=arguments.report_wait, alike=done.alike
+        options.method, config, start, options.scale_std, waits=waits, report=print_message, alike=done.alike
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a contact, a stall or the time limit.
@@ -233,13 +231,6 @@ def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float
     if not (options.stay and options.publish):
         options.refuse("a goal is required: --waypoints X,Y or --path NAME, or --stay with --publish")
     return []
-
-
-def _require_free_space(world: World, points: Sequence[tuple[float, float]]) -> None:
-    """Raise WorldFileError for a waypoint outside of the free space of a map."""
-    for x, y in points:
-        if world.clearance(x, y) <= 0.0:
-            raise WorldFileError(f"waypoint {x:g},{y:g} is not in the free space of the map {world.name}")
 
 
 def _require_free_legs(world: World, points: Sequence[tuple[float, float]]) -> None:
@@ -303,8 +294,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
         options.refuse(f"--start {UNKNOWN} needs a robot: give the pose at the first row of the log")
     world, body = load_world(options.map), resolve_log_body(options)
     check_writable(options.estimates, options.picture)
-    if options.picture:
-        check_picture(options.picture)
+    check_picture(options.picture)
     rows = without_echo(read_log(options.log), body.ring)
     # 2. Initial belief and models.
     belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)

@@ -14,7 +14,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,10 @@ from localization.plot import check_picture, save
 from nclient.common.arguments import add_flag, add_value
 from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode, show_seconds
-from nclient.errors import MapFileError, OutputFileError, WorldFileError
+from nclient.errors import MapFileError, WorldFileError
 from worlds.cells import hausdorff_distance_in, simplify_world
 from worlds.drawing import ESTIMATE, GOAL, ODOMETRY, blank, draw_walls
-from worlds.io import format_world, load_world, parse_world
+from worlds.io import load_world
 from worlds.map_files import IN_PER_M, ImportSettings, read_map_file, write_ros_map
 from worlds.robots import BODIES
 from worlds.validate import Finding, FreeSpace, ValidationLimits, find_free_space, validate_world
@@ -81,19 +81,13 @@ def run_edit(options: argparse.Namespace) -> int:
     world = load_world(options.world)
     named = label_walls(world, labels)
     found = adjust_walls(named, tapes) if tapes else Adjustment(named, 0.0, ())
-    # 2. The file states how it was made. Reading it again checks that its starts are still in free space.
+    # 2. Results.
     changes = [f"{tape.length_in:g} in" for tape in tapes] + [f"label {name!r}" for _, name in labels]
-    text = format_world(found.world, f"nomad map edit {Path(options.world).name}: {', '.join(changes)}")
-    parse_world(text, str(options.out), world.name)
-    with write_errors_as(OutputFileError, options.out):
-        options.out.write_text(text, encoding="utf-8")
-    print(json.dumps(as_json(found)) if options.json else _summary(found, tapes, options.out))
+    comment = f"nomad map edit {Path(options.world).name}: {', '.join(changes)}"
+    arguments.write_world(options.out, found.world, comment)
+    result = {"moved_in": found.moved_in, "residuals_in": list(found.residuals_in)}
+    print(json.dumps(result) if options.json else _summary(found, tapes, options.out))
     return 0
-
-
-def as_json(found: Adjustment) -> dict[str, object]:
-    """Return the result as plain data."""
-    return {"moved_in": found.moved_in, "residuals_in": list(found.residuals_in)}
 
 
 def _label(words: list[str], options: argparse.Namespace) -> tuple[Point, str]:
@@ -194,14 +188,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="tool", required=True, metavar="check|simplify|show|learn|update|edit|import|export"
     )
 
-    def add_tool(name: str, about: str) -> argparse.ArgumentParser:
-        return tools.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+    def add_tool(name: str, execute: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
+        parser = tools.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+        parser.set_defaults(execute=execute)
+        return parser
 
     check = add_tool(
-        "check",
+        "check", _check,
         "find gaps, doubled walls, very short walls, starts without space, closed-off space; name places that "
         "look alike",
-    )
+    )  # fmt: skip
     add_value(check, "--gap", "IN", arguments.parse_positive,
               "report ends of walls within this many inches of another wall as gaps", ValidationLimits().gap_in)
     check.add_argument(
@@ -212,12 +208,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y",
         help="name the places that look like these positions (default: like the starts and others over the map)",
     )
-    simplify = add_tool("simplify", "write the map with fewer walls, within a tolerance")
+    simplify = add_tool("simplify", _simplify, "write the map with fewer walls, within a tolerance")
     add_value(simplify, "--tolerance", "IN", arguments.parse_positive, "move walls by at most this many inches", 0.5)
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="write this world file")
-    show = add_tool("show", "show the accuracy of localization: the Cramer-Rao bound over free space")
+    show = add_tool("show", _show, "show the accuracy of localization: the Cramer-Rao bound over free space")
     add_value(show, "--out", "PNG", Path, "draw it into this file (needs the extra `plot`)")
-    arguments.add_sonar_model(show)
+    show.add_argument("--sonars", choices=("rays", "cones"), default="cones",
+                      help="sonar model: exact rays, or the cones of a real ring (default: %(default)s)")
     add_value(show, "--cell", "IN", arguments.parse_positive,
               f"grid step in inches (default: {CELL_IN:g}, or larger for about {MAX_PLACES} positions at most)")
     add_value(show, "--speed", "IN_S", arguments.parse_positive, "speed of the robot in inches per second", 5.0)
@@ -225,12 +222,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_value(show, "--weak", "IN", arguments.parse_positive,
               "call positions with a bound above this many inches weak", WEAK_IN)
     _add_update(
-        add_tool("update", "compare a map with a drive: moved, missing and new walls, an error of scale")
+        add_tool("update", _update, "compare a map with a drive: moved, missing and new walls, an error of scale")
     )
-    map_learn.add_arguments(add_tool("learn", "make a map of the room by driving, or from a recorded drive"))
-    add_edit_arguments(add_tool("edit", "adjust a learned map to lengths measured with a tape"))
-    _add_import(add_tool("import", "make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
-    _add_export(add_tool("export", "write a world as map of ROS: map.yaml and PGM"))
+    map_learn.add_arguments(
+        add_tool("learn", map_learn.run, "make a map of the room by driving, or from a recorded drive")
+    )
+    add_edit_arguments(add_tool("edit", run_edit, "adjust a learned map to lengths measured with a tape"))
+    _add_import(add_tool("import", _import, "make a world file of a ROS, CARMEN, SVG or DXF map, or of a bitmap"))
+    _add_export(add_tool("export", _export, "write a world as map of ROS: map.yaml and PGM"))
     for tool in (check, simplify, show):
         tool.add_argument("world", metavar="WORLD", help="map: a shipped world or a TOML file")
         if tool is not simplify:
@@ -280,32 +279,15 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code; `check` returns 3 if it found problems."""
-    if options.tool == "import":
-        return _import(options)
-    if options.tool == "learn":
-        return map_learn.run(options)
-    if options.tool == "update":
-        return _update(options)
-    if options.tool == "edit":
-        return run_edit(options)
-    world = load_world(options.world)
-    match options.tool:
-        case "simplify":
-            return _simplify(world, options)
-        case "export":
-            return _export(world, options)
-        case "check":
-            return _check(world, options)
-        case _:
-            return _show(world, options)
+    code: int = options.execute(options)
+    return code
 
 
 def _update(options: argparse.Namespace) -> int:
     """Compare a map with a drive; return 0 without changes, 3 with some, 4 if the drive does not fit the map."""
     # 1. Report what is wrong before the work.
     arguments.check_writable(options.out)
-    if options.picture is not None:
-        check_picture(options.picture)
+    check_picture(options.picture)
     world = load_world(options.world)
     try:
         # 2. The walls of the drive.
@@ -323,11 +305,8 @@ def _update(options: argparse.Namespace) -> int:
     if options.picture is not None:
         _draw_changes(options.picture, world, found)
     if options.out is not None:
-        text = format_world(found.world, f"nomad map update {options.world}: {len(found.changes)} changes")
-        # Reading it again checks it as any other.
-        parse_world(text, str(options.out), world.name)
-        with write_errors_as(OutputFileError, options.out):
-            options.out.write_text(text, encoding="utf-8")
+        comment = f"nomad map update {options.world}: {len(found.changes)} changes"
+        arguments.write_world(options.out, found.world, comment)
     print(json.dumps(found.as_json()) if options.json else "\n".join(found.lines()))
     return ExitCode.DONE if found.is_empty else ExitCode.NOT_REACHED
 
@@ -342,36 +321,27 @@ def _draw_changes(path: Path, world: World, found: MapDifference) -> None:
         (ESTIMATE, "--", "no longer there", [change.before for change in found.changes]),
         (GOAL, "-", "found", [change.after for change in found.changes]),
     ):
-        shown = [_by_columns(wall) for wall in walls if wall is not None]
-        for number, columns in enumerate(shown):
-            axes.plot(*columns, color=color, linestyle=style, linewidth=2.5, label="" if number else label)
+        shown = [wall.reshape(2, 2) for wall in walls if wall is not None]
+        for number, ends in enumerate(shown):
+            axes.plot(*ends.T, color=color, linestyle=style, linewidth=2.5, label="" if number else label)
     axes.plot(*found.pose[:2], marker="o", color=ODOMETRY, linestyle="", label="robot now")
     axes.set(xlabel="x (in)", ylabel="y (in)", title="\n".join(found.lines()[-1:]))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)
     save(picture, path)
 
 
-def _by_columns(wall: Floats) -> Floats:
-    """Return x and y (2, 2) of the ends of a wall (4,)."""
-    columns: Floats = np.reshape(wall, (2, 2)).T
-    return columns
-
-
 def _import(options: argparse.Namespace) -> int:
     # 1. Report unwritable files before the work.
     arguments.check_writable(options.out)
-    if options.picture is not None:
-        check_picture(options.picture)
+    check_picture(options.picture)
     settings = ImportSettings(
         options.tolerance, options.cell, options.unit, options.min_cells, options.close, tuple(options.layer)
     )
     with show_seconds(f"reading {options.file.name}"):
         found = read_map_file(options.file, settings)
-    # 2. The file states where it came from; reading it again checks it as any other world file.
+    # 2. The file states where it came from.
     comment = f"nomad map import {options.file.name}: walls at most {found.apart_in:.3g} in from the original"
-    text = format_world(found.world, comment)
-    world = parse_world(text, str(options.out), found.world.name)
-    _write(options.out, text)
+    world = arguments.write_world(options.out, found.world, comment)
     if options.picture is not None:
         _draw_walls(options.picture, world)
     # 3. Walls that end where the robot that made the map saw no farther are open.
@@ -382,7 +352,8 @@ def _import(options: argparse.Namespace) -> int:
     return 0
 
 
-def _export(world: World, options: argparse.Namespace) -> int:
+def _export(options: argparse.Namespace) -> int:
+    world = load_world(options.world)
     arguments.check_writable(options.out)
     with write_errors_as(MapFileError, options.out):
         image, grid = write_ros_map(world, options.out, options.resolution * IN_PER_M)
@@ -390,11 +361,6 @@ def _export(world: World, options: argparse.Namespace) -> int:
     result = {"image": str(image), "width": width, "height": height, "resolution_m": options.resolution}
     print(json.dumps(result) if options.json else f"{width} x {height} cells: {options.out}, {image}")
     return 0
-
-
-def _write(path: Path, text: str) -> None:
-    with write_errors_as(WorldFileError, path):
-        path.write_text(text, encoding="utf-8")
 
 
 def _draw_walls(path: Path, world: World) -> None:
@@ -407,8 +373,8 @@ def _draw_walls(path: Path, world: World) -> None:
     save(picture, path)
 
 
-def _check(world: World, options: argparse.Namespace) -> int:
-    body = BODIES[options.body]
+def _check(options: argparse.Namespace) -> int:
+    world, body = load_world(options.world), BODIES[options.body]
     with show_seconds("checking walls and places that look alike"):
         found = validate_world(world, body.radius_in, ValidationLimits(gap_in=options.gap))
         places, aliases = _find_aliases(world, body.radius_in, options.at)
@@ -470,7 +436,8 @@ def _line(finding: Finding) -> str:
     return f"{finding.kind:10}  ({x:7.1f}, {y:7.1f})  {finding.words}"
 
 
-def _simplify(world: World, options: argparse.Namespace) -> int:
+def _simplify(options: argparse.Namespace) -> int:
+    world = load_world(options.world)
     # 1. Report an unwritable file before the work.
     arguments.check_writable(options.out)
     with show_seconds("simplifying"):
@@ -478,10 +445,7 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
         far_in = hausdorff_distance_in(world.walls, simpler.walls)
     # 2. The new file states how it was made, and by how much walls have moved.
     comment = f"nomad map simplify {world.name} --tolerance {options.tolerance:g}: at most {far_in:.3g} in apart"
-    text = format_world(simpler, comment)
-    # 3. Reading it again checks that starts and paths are still in free space.
-    parse_world(text, str(options.out), world.name)
-    _write(options.out, text)
+    arguments.write_world(options.out, simpler, comment)
     result = {"walls_before": len(world.walls), "walls": len(simpler.walls), "apart_in": far_in}
     print(
         json.dumps(result)
@@ -491,10 +455,9 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
     return 0
 
 
-def _show(world: World, options: argparse.Namespace) -> int:
-    if options.out is not None:
-        check_picture(options.out)
-    body = BODIES[options.body]
+def _show(options: argparse.Namespace) -> int:
+    world, body = load_world(options.world), BODIES[options.body]
+    check_picture(options.out)
     # 1. Positions the robot can reach.
     reached = find_free_space(world, body.radius_in, options.cell or CELL_IN)
     if not options.cell and (count := np.count_nonzero(reached.reached)) > MAX_PLACES:

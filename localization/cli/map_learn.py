@@ -44,13 +44,11 @@ from localization.navigation.control_law import MODEL_LIMITS
 from localization.plot import check_picture
 from nclient import Robot
 from nclient.common.arguments import add_value
-from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode, TerminatedBySignal, show_seconds
 from nclient.connector import address_or_default
-from nclient.errors import AddressError, ConnectionLost, OutputFileError, ReplyTimeout
+from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.recording import convert
 from nclient.url import parse_address, split_address
-from worlds.io import format_world, parse_world
 from worlds.map_files import MapsExtraMissing
 from worlds.rings import Ring
 from worlds.robots import BODIES, Body, format_calibration
@@ -159,8 +157,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit code: 0; 3 if waypoints were left out; 4 if no map is written."""
     # 1. Report unwritable files before the work.
     arguments.check_writable(options.out, options.calibration_out)
-    if options.picture is not None:
-        check_picture(options.picture)
+    check_picture(options.picture)
     with page_of(options) as page:
         # 2. The drive.
         try:
@@ -462,14 +459,6 @@ def _write_files(options: argparse.Namespace, found: LearnedMap, model: str, rec
     """Write the world file and the calibration."""
     names = " ".join(path.name for path in recordings)
     comment = f"nomad map learn --from {names}: {found.quality.explained:.0%} of the ranges explained"
-    text = format_world(found.world(options.out.stem), comment)
-    # Reading it again checks it as any other world file.
-    parse_world(text, str(options.out), options.out.stem)
-    _write(options.out, text)
+    arguments.write_world(options.out, found.world(options.out.stem), comment)
     if options.calibration_out is not None:
-        _write(options.calibration_out, format_calibration(model, found.calibration, comment))
-
-
-def _write(path: Path, text: str) -> None:
-    with write_errors_as(OutputFileError, path):
-        path.write_text(text, encoding="utf-8")
+        arguments.write_text(options.calibration_out, format_calibration(model, found.calibration, comment))

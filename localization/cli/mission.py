@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import sys
 from collections.abc import Callable, Iterator
 from math import degrees, inf
 from pathlib import Path
@@ -22,6 +21,7 @@ from localization.navigation.mission import Mission, Report, run_mission
 from localization.navigation.mission_steps import load_mission
 from localization.navigation.waypoints import STOP_RADIUS_IN
 from nclient import NomadError, Robot
+from nclient.cli.serving import print_message
 from nclient.common.arguments import add_address, add_flag, add_value, number
 from nclient.common.files import write_errors_as
 from nclient.common.process import ExitCode
@@ -117,7 +117,7 @@ class MissionContext(NamedTuple):
         try:
             arguments.save_estimate(options, self.world, estimate, encoders, state.turret_rad)
         except NomadError as error:
-            print(f"nomad: {error}", file=sys.stderr)
+            print_message(str(error))
             return False
         return True
 
@@ -137,7 +137,7 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
         body = resolve_body(options.body, options.model_file, options.address)
         waits = arguments.is_lockstep(options.address)
         with (
-            filter_on_robot(options.method, config, belief, waits=waits, report=arguments.report_wait,
+            filter_on_robot(options.method, config, belief, waits=waits, report=print_message,
                             alike=arguments.find_alike(world, config, belief)) as method,
             pilot.RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):

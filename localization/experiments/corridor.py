@@ -202,8 +202,7 @@ CASES: Final = {"random walk": (0.0, 0.0, 0.0), "with scale, turn and drift": SY
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = _parser().parse_args(arguments)
-    if options.picture:
-        check_picture(options.picture)
+    check_picture(options.picture)
     corridor = read_corridor(options.data, *options.rows)
     echoes = corridor.echoes()
     walls = fit_walls(echoes, SIDES, corridor.body, WALL_RANGE_IN)

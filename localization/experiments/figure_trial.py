@@ -560,7 +560,7 @@ def make_drive(sources: int) -> Drive:
         H, is_used = [(0.0, 0.0, 0.0) for _ in range(count)], [False for _ in range(count)]
         R, innovation = [0.0 for _ in range(count)], [0.0 for _ in range(count)]
         change, before = mean[0].copy(), mean[0].copy()
-        rows = sonar_ray.wall_rows(walls)
+        rows = list(sonar_ray.wall_rows(walls))
         listed: Any = compiled.ListedWalls(walls.segments, walls.lines, walls.middle, rows)
         for i in range(len(truth)):
             x, P = mean[i], cov[i]
@@ -653,5 +653,5 @@ def trial_of(setup: FigureSetup) -> Trial:
                  noise=compiled.row_of(compiled.NoiseRow, setup.noise),
                  sonar=compiled.row_of(compiled.RaySonarRow, setup.sonar),
                  gate=compiled.row_of(compiled.GateRow, sonar_ray.STRICT), threshold=sonar_ray.STRICT.threshold,
-                 walls=compiled.WallArrays(setup.walls.segments, setup.walls.lines, setup.walls.middle),
+                 walls=compiled.PackedWalls(setup.walls.segments, setup.walls.lines, setup.walls.middle),
                  angles_rad=np.ascontiguousarray(setup.angles_rad), ring_in=float(setup.body.sonar_ring_radius_in))

@@ -173,8 +173,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw a row and the distances of opposite walls")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args(arguments)
-    if options.picture:
-        check_picture(options.picture)
+    check_picture(options.picture)
     readings = read_ring(options.data)
     found = statistics_of(readings)
     if options.picture:

@@ -47,16 +47,8 @@ ConeSonarRow = NamedTuple(
 GateRow = NamedTuple("GateRow", [(field.name, float) for field in fields(Gate)])  # type: ignore[misc]
 
 
-class WallArrays(NamedTuple):
-    """A `WallMap`."""
-
-    segments: Floats
-    lines: Floats
-    middle: tuple[float, float, float]
-
-
 class ListedWalls(NamedTuple):
-    """`WallArrays` with the rows as a list, which compiled code makes once and not for every ray."""
+    """A `WallMap` with the rows as a list, which compiled code makes once and not for every ray."""
 
     segments: Floats
     lines: Floats
@@ -65,7 +57,7 @@ class ListedWalls(NamedTuple):
 
 
 class PackedWalls(NamedTuple):
-    """`WallArrays` whose rows compiled code reads one by one, without a list: quicker where few rays are cast."""
+    """A `WallMap` whose rows compiled code reads one by one, without a list: quicker where few rays are cast."""
 
     segments: Floats
     lines: Floats
@@ -194,10 +186,6 @@ SOURCES: Final = (belief, filter_loop, health, odometry, sonar_ray, sonar_cone, 
 # Forms for numba of what differs between lists and arrays. It cannot unpack a row of an array: rows become tuples.
 
 
-def _wall_rows(walls: Any) -> Any:
-    return [(row[0], row[1], row[2], row[3]) for row in walls.segments]
-
-
 def _each_wall_row(walls: Any) -> Any:
     segments = walls.segments
     for k in range(len(segments)):
@@ -210,9 +198,7 @@ def _listed_rows(walls: Any) -> Any:
 
 def _form_of_rows(walls: Any) -> Callable[..., Any]:
     """Return the form of `wall_rows` for a type of walls."""
-    if walls.instance_class is PackedWalls:
-        return _each_wall_row
-    return _listed_rows if "rows" in walls.fields else _wall_rows
+    return _listed_rows if walls.instance_class is ListedWalls else _each_wall_row
 
 
 def _rows_of_five(rows: Any) -> Any:

@@ -106,26 +106,25 @@ class KalmanFilter(Filter):
         takes_rings = self.TAKES_RINGS and prediction is predict_state
         self._direct = measurement.direct if takes_rings else None
         """The model, where `filter_state` takes a whole state by it; None: `Filter.process`, one by one."""
-        # The monitor of the estimate, and the outcomes that it judges by.
-        self._monitor = IntegrityMonitor(limits)
-        self._config = filter_config(odometry, self._direct, self._monitor.limits, middle_in) if self._direct else None
+        limits = limits or HealthLimits()
+        self._config = filter_config(odometry, self._direct, limits, middle_in) if self._direct else None
         self._compiled = compiled.filter_of(self._config)
         """`filter_state` as machine code, where that is wanted; None: as plain Python."""
         is_compiled = self._compiled is not None
-        if is_compiled:
-            self._monitor = IntegrityMonitor(limits, as_array=True)
+        # The monitor of the estimate, and the outcomes that it judges by.
+        self._monitor = IntegrityMonitor(limits, as_array=is_compiled)
         self._x: Any
         self._P: Any
         self._x, self._P = (state.mean.copy(), state.cov.copy()) if is_compiled else unpack(state)
         self._used = update.new_used(as_array=is_compiled)
         self._memory = FilterMemory(self._x, self._P, self._used, self._monitor.slip_sums, self._monitor.windows)
-        self._has_slip_test = self._monitor.limits.slip_nats < inf
+        self._has_slip_test = limits.slip_nats < inf
         noise = self._direct.noise if self._direct else None
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
         self._informative = update.INFORMATIVE_IN_CLUTTER if measurement.level_stds else update.INFORMATIVE
-        model, has_limit = measurement.model, self._monitor.limits.heading_nats < inf
+        model, has_limit = measurement.model, limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
 

@@ -379,10 +379,8 @@ class GlobalLocalizer(Filter):
         self._until_search -= 1
         if self._pending is None:
             self._ask()
-        answer = self._answer()
-        if answer is None:
-            return
-        self._take(answer)
+        if answer := self._answer():
+            self._take(answer)
 
     def _take(self, answer: pose_search.SearchResult) -> None:
         """Take hypotheses; the estimate is one that two answers agree upon."""

@@ -44,6 +44,11 @@ class FilterHealth(NamedTuple):
     status: HealthStatus
     reason: str
 
+    @property
+    def is_lost(self) -> bool:
+        """True if the estimate has no meaning."""
+        return self.status is HealthStatus.LOST
+
 
 @dataclass(frozen=True, slots=True)
 class HealthLimits:

@@ -2,7 +2,7 @@
 
     predict     every particle takes the step with noise of its own
     update      weights are multiplied by the likelihood of the reading, to the power of its new information
-    resample    where the effective number of particles 1 / sum w^2 falls below `resample_threshold` of them
+    resample    where the effective number of particles 1 / sum w^2 falls below RESAMPLE_THRESHOLD of them
 
 References: Thrun, Burgard, Fox, Probabilistic Robotics (2005), tables 4.3, 4.4 and 8.2, and section 6.3 for the beam
 model. Parameters have the names that users of other localizers know.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -152,20 +151,10 @@ MAX_NIS: Final = 9.0
 # The filter.
 
 
-@dataclass(frozen=True, slots=True)
-class MonteCarlo:
-    """Parameters of the particle filter.
-
-    Attributes
-    ----------
-    particles
-        Number of particles.
-    resample_threshold
-        Fraction of them to which the effective number may fall.
-    """
-
-    particles: int = 1000
-    resample_threshold: float = 0.5
+PARTICLES: Final = 1000
+"""Number of particles."""
+RESAMPLE_THRESHOLD: Final = 0.5
+"""Fraction of them to which the effective number may fall."""
 
 
 class ParticleFilter(Filter):
@@ -185,15 +174,13 @@ class ParticleFilter(Filter):
     """
 
     def __init__(self, states: Floats, likelihood: Likelihood, odometry: OdometryNoise, rng: np.random.Generator,
-                 parameters: MonteCarlo | None = None, range_stds: Sequence[float] = (),
-                 middle_in: tuple[float, float] = (0.0, 0.0)) -> None:  # fmt: skip
+                 range_stds: Sequence[float] = (), middle_in: tuple[float, float] = (0.0, 0.0)) -> None:  # fmt: skip
         self.range_errors, self._errors_cov = np.zeros(RANGE_PARAMETERS), np.diag(np.square(range_stds or (0.0, 0.0)))
         """Offset and scale of all readings (`update.RANGE_PARAMETERS`), and their covariance."""
         self._middle_in = np.array(middle_in)
         self.states = states
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._rng = likelihood, odometry, rng
-        self._parameters = parameters or MonteCarlo(len(states))
         self._monitor, self._used = IntegrityMonitor(), update.new_used()
 
     @property
@@ -250,7 +237,7 @@ class ParticleFilter(Filter):
         self.weights = self.weights * likelihood**power
         self.weights /= self.weights.sum()
         # 3. Resampling.
-        if self.effective < self._parameters.resample_threshold * len(self.states):
+        if self.effective < RESAMPLE_THRESHOLD * len(self.states):
             chosen = resample_low_variance(self.weights, float(self._rng.random()))
             self.states, self.weights = self.states[chosen], np.full(len(chosen), 1.0 / len(chosen))
         result = result_of((gate_code(outlier_probability), innovation_in, nis, outlier_probability, 1.0, 0.0))

@@ -26,7 +26,7 @@ from localization.filters import compiled, sonar_cone
 from localization.filters.belief import Floats
 from localization.filters.compiled import ConeArrays, ConeSonarRow, ListedWalls, row_of
 from localization.filters.sonar_cone import CLEARANCE_IN, REACH_IN, ConeSonar, Reflectors
-from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map, wall_rows
+from localization.filters.sonar_ray import RaySonar, SonarRing, ranges_from, wall_map
 from nclient.protocol.types import MAX_SONAR_IN
 from worlds.compiled import VARIABLE, compile_function, is_wanted, make_compilable, mark_path, write_mark
 from worlds.geometry import nearest_points
@@ -440,14 +440,15 @@ def likeliest_echoes(places: Any, ring_in: float, heading_std_rad: float, sonar:
     sonar
         `ConeSonarRow`.
     walls
-        `WallArrays` that may block the path.
+        (m, 4) segments that may block the path.
     faces, vertices
         (m, 5) and (v, 3), as of `sonar_cone.ConeModel`.
     ranges_in, probabilities
         (n, directions) arrays for the result; 0 where no echo is.
     """
     mount, directions = SonarMount(0.0, ring_in, 0.0), ranges_in.shape[1]
-    listed: Any = ListedWalls(walls.segments, walls.lines, walls.middle, wall_rows(walls))
+    # The middle and the lines are for rays alone.
+    listed: Any = ListedWalls(walls, walls, (0.0, 0.0, 0.0), [(row[0], row[1], row[2], row[3]) for row in walls])
     all_vertices: Any = [(row[0], row[1], row[2]) for row in vertices]
     for place in range(len(places)):
         x, y = places[place, 0], places[place, 1]
@@ -455,7 +456,7 @@ def likeliest_echoes(places: Any, ring_in: float, heading_std_rad: float, sonar:
         in_front: Any = [
             (row[0], row[1], row[2], row[3], row[4]) for row in faces if is_in_front(x, y, row, ring_in + REACH_IN)
         ]
-        model: Any = ConeArrays(sonar, listed, in_front, all_vertices, walls.segments, 0)
+        model: Any = ConeArrays(sonar, listed, in_front, all_vertices, walls, 0)
         # 2. The most probable echo in each direction.
         for direction in range(directions):
             heading = direction * (2.0 * pi / directions)
@@ -478,8 +479,7 @@ def _compile(sources: int) -> Callable[..., None]:
     def entry(places: Any, ring_in: Any, std: Any, sonar: Any, walls: Any, faces: Any, vertices: Any, ranges: Any,
               probabilities: Any) -> None:  # fmt: skip
         assert sources >= 0
-        arrays = compiled.WallArrays(walls, walls, (0.0, 0.0, 0.0))
-        likeliest_echoes(places, ring_in, std, ConeSonarRow(*sonar), arrays, faces, vertices, ranges, probabilities)
+        likeliest_echoes(places, ring_in, std, ConeSonarRow(*sonar), walls, faces, vertices, ranges, probabilities)
 
     make_compilable([likeliest_echoes, is_in_front])
     run = compile_function(entry)

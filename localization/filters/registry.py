@@ -42,12 +42,10 @@ def _smoother(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
 
 def _particles(config: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     rng = np.random.default_rng(seed)
-    parameters = particles.MonteCarlo()
-    states = particles.draw_particles(belief, parameters.particles, rng)
+    states = particles.draw_particles(belief, particles.PARTICLES, rng)
     kind: Any = particles.ConeLikelihood if isinstance(config.sonar, ConeSonar) else particles.RayLikelihood
     likelihood = kind(config.walls, config.body, config.sonar)
-    return particles.ParticleFilter(states, likelihood, config.odometry, rng, parameters, config.range_stds or (),
-                                    _middle(config))
+    return particles.ParticleFilter(states, likelihood, config.odometry, rng, config.range_stds or (), _middle(config))
 
 
 def _offsets(config: LocalizationConfig, belief: Belief, _seed: int) -> Filter:

@@ -29,7 +29,6 @@ import numpy as np
 
 from localization.filters.base import EncoderRow, Filter, NewEcho, Place
 from localization.filters.belief import Floats, add, difference
-from localization.filters.health import HealthStatus
 from localization.filters.odometry import relative_step
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
@@ -76,7 +75,7 @@ class RunMoment(NamedTuple):
     @property
     def lost(self) -> bool:
         """True if the estimate is LOST."""
-        return self.estimate.health.status is HealthStatus.LOST
+        return self.estimate.health.is_lost
 
     @property
     def error(self) -> Floats | None:

@@ -31,6 +31,7 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
+from nclient.common.files import read_errors_as
 from nclient.errors import AddressError, LogFileError, RecordingError, RobotRefused, suggest
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN, MIN_SONAR_IN, SONAR_RATE_STEP_S, SONAR_SLOTS
 from nclient.recording import convert
@@ -413,46 +414,38 @@ def read_log(file: Path) -> list[LogRow]:
     LogFileError
         If it cannot be read, a column is missing or has no unit, a field is no number, or time does not increase.
     """
-    if file.suffix != ".csv" and convert.may_be_drive(file):
-        return _rows_of_drive(file)
+    is_drive = file.suffix != ".csv" and convert.may_be_drive(file)
     try:
-        if file.stat().st_size > MAX_BYTES:
-            raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogFileError(f"{file}: cannot be read: {error}") from error
-    try:
-        series = TimeSeries(text, str(file), {**_UNITS, SONAR: _IN_PER, **_UNUSED})
-        _check_columns(series, file)
-        rows = [_row(values, series, file, number) for number, values in series.rows()]
+        rows = _rows_of_drive(file) if is_drive else _rows_of_csv(file)
     except RecordingError as error:
         raise LogFileError(str(error)) from None
-    return _checked(rows, file)
-
-
-def _rows_of_drive(file: Path) -> list[LogRow]:
-    """Return the rows of a recording, bag, MCAP or CARMEN log."""
-    try:
-        drive = convert.read_drive(file)
-    except RecordingError as error:
-        raise LogFileError(str(error)) from None
-    rows = [
-        LogRow(sample.time_s, (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, sample.heading_rad),
-               sample.heading_rad if sample.turret_rad is None else sample.turret_rad,
-               tuple(range_m / M_PER_IN for range_m in sample.ranges_m))
-        for sample in drive.samples if sample.ranges_m
-    ]  # fmt: skip
-    return _checked(rows, file)
-
-
-def _checked(rows: list[LogRow], file: Path) -> list[LogRow]:
-    """Return the rows of a log. Raises LogFileError if there are too few, or time does not increase."""
     for number, (before, after) in enumerate(pairwise(rows), 3):
         if after.clock_s <= before.clock_s:
             raise LogFileError(f"{file}: row {number}: time {after.clock_s:g} s does not increase")
     if len(rows) < 2:
         raise LogFileError(f"{file}: has {len(rows)} rows; expected a line of column names and at least two rows")
     return rows
+
+
+def _rows_of_csv(file: Path) -> list[LogRow]:
+    """Return the rows of a CSV file."""
+    with read_errors_as(LogFileError, file):
+        if file.stat().st_size > MAX_BYTES:
+            raise LogFileError(f"{file}: larger than {MAX_BYTES >> 20} MB; split it")
+        text = file.read_text(encoding="utf-8-sig")
+    series = TimeSeries(text, str(file), {**_UNITS, SONAR: _IN_PER, **_UNUSED})
+    _check_columns(series, file)
+    return [_row(values, series, file, number) for number, values in series.rows()]
+
+
+def _rows_of_drive(file: Path) -> list[LogRow]:
+    """Return the rows of a recording, bag, MCAP or CARMEN log."""
+    return [
+        LogRow(sample.time_s, (sample.x_m / M_PER_IN, sample.y_m / M_PER_IN, sample.heading_rad),
+               sample.heading_rad if sample.turret_rad is None else sample.turret_rad,
+               tuple(range_m / M_PER_IN for range_m in sample.ranges_m))
+        for sample in convert.read_drive(file).samples if sample.ranges_m
+    ]  # fmt: skip
 
 
 def _check_columns(series: TimeSeries, file: Path) -> None:

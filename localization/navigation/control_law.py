@@ -41,7 +41,6 @@ from localization.filters.belief import (
     unit_vector,
     wrap_angle,
 )
-from localization.filters.health import HealthStatus
 from localization.filters.odometry import move, step_between
 from localization.filters.update import OUTLIER_THRESHOLD, Refusal
 from localization.live.estimate import Estimate
@@ -482,7 +481,7 @@ class MisfitDetector:
 
     def reason(self, estimate: Estimate) -> str:
         """Return why the estimate is useless, in words; "" if it may be right."""
-        if estimate.health.status is HealthStatus.LOST:
+        if estimate.health.is_lost:
             return f"lost: {estimate.health.reason}; {_MISFIT_REMEDY}"
         if self._ranges >= FIRST_RANGES:
             return ""

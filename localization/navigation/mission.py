@@ -32,7 +32,6 @@ from math import cos, degrees, hypot, inf, radians, sin
 from typing import Any, Final, NamedTuple
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.filters.health import HealthStatus
 from localization.live.sensor_input import Pose
 from localization.navigation import path, pilot
 from localization.navigation.control_law import STAND, RecoveryBehavior, VelocityCommand
@@ -424,7 +423,7 @@ class Mission:
 
     @property
     def _is_lost(self) -> bool:
-        return self._controller.last.estimate.health.status is HealthStatus.LOST
+        return self._controller.last.estimate.health.is_lost
 
     def _turn(self, remaining_rad: Callable[[float], float]) -> None:
         """Turn in place until `remaining_rad(heading)` is nearly 0."""
@@ -505,7 +504,7 @@ class Mission:
             raise MissionOver("timeout", self._explain_timeout(limit))
         # 3. Fence.
         x, y, _ = observation.estimate.pose
-        is_localized = observation.estimate.health.status is not HealthStatus.LOST
+        is_localized = not observation.estimate.health.is_lost
         if self._fence is not None and is_localized and not inside((x, y), self._fence):
             raise MissionOver("fence", f"({x:.1f}, {y:.1f}) is outside of the fence")
         # 4. Time limit of the step.
@@ -547,7 +546,7 @@ def recover_from_lost(controller: RobotController, settings: Settings, reason: s
         raise MissionOver("lost", reason)
     until_s = controller.clock_s + settings.lost_s
     commands = _search_commands(controller) if settings.on_lost is OnLost.SEARCH else cycle([STAND])
-    while (health := controller.last.estimate.health).status is HealthStatus.LOST:
+    while (health := controller.last.estimate.health).is_lost:
         if controller.clock_s > until_s:
             raise MissionOver("lost", f"not localized again within {settings.lost_s:g} s: {health.reason}")
         controller.period(next(commands))

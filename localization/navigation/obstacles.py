@@ -21,7 +21,6 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.filters.health import HealthStatus
 from localization.live.estimate import Estimate
 from localization.live.sensor_input import SensorInput, sonar_readings, with_readings
 from nclient.state import RobotState
@@ -225,7 +224,7 @@ def filter_unmapped(obstacles: ObstacleTracker, estimate: Estimate, state: Robot
     environments (1998).
     """
     readings = sonar_readings(state)[: len(angles_rad)]
-    if estimate.health.status is not HealthStatus.LOST:
+    if not estimate.health.is_lost:
         x, y, heading = (float(value) for value in estimate.pose)
         directions = heading + state.turret_rad - state.steering_rad + np.asarray(angles_rad)
         near = obstacles.find_unmapped((x, y), directions, np.array(readings, dtype=np.float64),
@@ -245,7 +244,7 @@ def update_obstacles(obstacles: ObstacleTracker, estimate: Estimate, state: Robo
     Each echo was measured up to 0.2 s before the estimate: the motion since then is subtracted, at the velocities of
     the state.
     """
-    if estimate.health.status is HealthStatus.LOST:
+    if estimate.health.is_lost:
         obstacles.clear()
         return
     x, y, heading = (float(value) for value in estimate.pose)

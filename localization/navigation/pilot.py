@@ -37,7 +37,6 @@ from msgspec import Meta
 
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats
-from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.estimate import Estimate
 from localization.live.run import GroundTruth, Publisher, build_message
@@ -407,7 +406,7 @@ class Pilot:
 
     def _step(self, estimate: Estimate, state: SensorInput) -> VelocityCommand:
         # 1. Lost or in contact.
-        if estimate.health.status is HealthStatus.LOST:
+        if estimate.health.is_lost:
             return self._end(Ending.LOST, estimate.health.reason)
         if self._back_off:
             command = self._back_off.command(estimate.clock_s, (state.x_in, state.y_in))

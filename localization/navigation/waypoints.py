@@ -15,7 +15,6 @@ import numpy as np
 
 from localization.filters.base import Filter, LocalizationConfig
 from localization.filters.belief import Belief, Floats, hypot, independent
-from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.run import GroundTruth, Run
@@ -179,7 +178,7 @@ def follow_waypoints(robot: Robot, localizer: Localizer, navigator: Controller, 
             # 2. Control, or recovery if the estimate is lost.
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
             command: VelocityCommand | None
-            if estimate.health.status is HealthStatus.LOST:
+            if estimate.health.is_lost:
                 smoother.reset()
                 command = VelocityCommand(*recovery.command(state, estimate.informative_turn_rad))
             else:

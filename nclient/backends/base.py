@@ -28,7 +28,7 @@ import weakref
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Final, Literal, Protocol
+from typing import Final, Protocol
 
 from nclient.errors import NomadError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
@@ -227,12 +227,10 @@ MIN_TIMEOUT_S: Final = 2
 """The robot counts whole seconds: one is too short to split a ws."""
 _INTERVALS_PER_TIMEOUT: Final = 3
 """A request that is lost, and one after it, still leave time for a third."""
-_SPEED_SLOT, _REAL_TIME = 0, 10
+SPEED_SLOT: Final = 0
+REAL_TIME: Final = 10
+"""State[0] of a server whose time runs as fast as real time."""
 _MIN_INTERVAL_S: Final = 0.005
-_GS, _ST = Call("gs"), Call("st")
-_Event = Literal["closed", "dropped"]
-_CLOSED: Final = "closed"
-_DROPPED: Final = "dropped"
 
 
 class KeepAlive(Wrapper):
@@ -259,8 +257,9 @@ class KeepAlive(Wrapper):
         self._interval_s = min(timeout_s / _INTERVALS_PER_TIMEOUT, at_least_every_s)
         self._clock = clock
         self._lock = threading.Lock()
-        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
-        """The end, for the thread. Finalizers may put into a SimpleQueue wherever they are executed."""
+        self._ends: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        """The end, for the thread: True if the program dropped the robot without closing it. Finalizers may put into a
+        SimpleQueue wherever they are executed."""
         self._pending_error: NomadError | None = None
         self._speed = 1.0
         """Robot time per real time; 0 if its time stands still between exchanges."""
@@ -269,12 +268,12 @@ class KeepAlive(Wrapper):
         self._active = self._set_timeout(inner)
         """False if the other end has no motion timeout, or the program controls it."""
         self._thread = threading.Thread(target=_poll_until_end,
-                                        args=(weakref.ref(self), inner, self._events, self._interval_s),
+                                        args=(weakref.ref(self), inner, self._ends, self._interval_s),
                                         name="nomad-keep-alive", daemon=True)
         if feeds and self._active:
             self._thread.start()
             # At the end of the program, which ends the thread, the timeout stops the robot.
-            weakref.finalize(self, self._events.put, _DROPPED).atexit = False
+            weakref.finalize(self, self._ends.put, True).atexit = False
 
     def execute(self, call: Call) -> Reply:
         """Send a command and return its reply. Raises as the inner backend, or an error of the thread first."""
@@ -292,7 +291,7 @@ class KeepAlive(Wrapper):
     def close(self) -> None:
         """End the thread and close the inner backend."""
         # The thread may itself close the backend, and cannot join itself.
-        self._events.put(_CLOSED)
+        self._ends.put(False)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
         self._inner.close()
@@ -310,7 +309,7 @@ class KeepAlive(Wrapper):
         # 3. The next call raises what goes wrong here, except for a lost reply: the next poll repeats that.
         try:
             if self._active and self._speed and self._pending_error is None:
-                self._request(_GS)
+                self._request(Call("gs"))
         except ReplyTimeout as error:
             self._pending_error = error if self._inner.closed else None
         except NomadError as error:
@@ -345,24 +344,24 @@ class KeepAlive(Wrapper):
         return reply
 
     def _update_speed(self, reply: Reply) -> None:
-        speed = reply.slots.get(_SPEED_SLOT)
+        speed = reply.slots.get(SPEED_SLOT)
         if speed is not None:
-            self._speed = speed / _REAL_TIME
+            self._speed = speed / REAL_TIME
 
 
-def _poll_until_end(reference: weakref.ref[KeepAlive], inner: Backend, events: queue.SimpleQueue[_Event],
+def _poll_until_end(reference: weakref.ref[KeepAlive], inner: Backend, ends: queue.SimpleQueue[bool],
                     interval_s: float) -> None:
     """Poll until the end, with a strong reference only during a poll; stop the robot if it was dropped."""
     while True:
         try:
-            event = events.get(timeout=interval_s)
+            was_dropped = ends.get(timeout=interval_s)
             break
         except queue.Empty:
             keep_alive = reference()
             interval_s = keep_alive.poll() if keep_alive else interval_s
             del keep_alive
-    if event == _DROPPED:
+    if was_dropped:
         # The motion timeout stops a robot that cannot be reached.
         with contextlib.suppress(NomadError):
-            inner.execute(_ST)
+            inner.execute(Call("st"))
         inner.close()

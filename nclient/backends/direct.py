@@ -28,7 +28,7 @@ from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import MIN_FRAME, SerialFrame, SerialFramer
 from nclient.protocol.types import DEFAULT_LASER_MODE, EVERYTHING, LINES, N150, Model, serial_wire_state
-from nclient.transports.stream import ByteStream, Deadline
+from nclient.transports.stream import ByteStream, Deadline, on_error
 
 GAP_S: Final = 0.25
 """Silence after which a frame is not continued: bytes are 0.3 ms apart, the bursts of a radio modem 0.1 s."""
@@ -140,13 +140,11 @@ class SerialLink:
 
     def clear_input(self) -> None:
         """Read and drop what has arrived, so that it does not answer the next request."""
-        try:
+        with contextlib.suppress(ReplyTimeout):
             for _ in range(MAX_CLEAR_READS):
                 for frame in self._framer.receive(self._stream.receive(self.deadline(0))):
                     self._matches_last_request(frame)
                     self._statistics.strays += 1
-        except ReplyTimeout:
-            pass
         self._framer.clear()
         self._update_statistics()
 
@@ -258,14 +256,11 @@ class DirectBackend:
         self._decoded_any = False
         self._closed_because: str | None = None
         # An N200 over TCP sends its mask, over a serial port it gets one; other models have a fixed one.
-        try:
+        with on_error(lambda: self._finish("connecting failed")):
             if hello:
                 self._receive_handshake()
             self.greeting = None if hello else self._send_mask()
             """The state that an N200 answers to its mask; other models are not asked for one."""
-        except BaseException:
-            self._finish("connecting failed")
-            raise
 
     @property
     def closed(self) -> bool:

@@ -13,14 +13,14 @@ import time
 from functools import lru_cache
 from typing import Final
 
-from nclient.backends.base import LinkStatistics
+from nclient.backends.base import REAL_TIME, SPEED_SLOT, LinkStatistics
 from nclient.errors import HELD, ConnectionLost, ReplyTimeout, RobotHeld, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.codec import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.commands import Call, Command
 from nclient.protocol.replies import STATE, Reply, TcpLayout, text_of
 from nclient.protocol.types import EVERYTHING, N150, Mask, Model, tcp_wire_state
-from nclient.transports.stream import ByteStream, Deadline
+from nclient.transports.stream import ByteStream, Deadline, on_error
 
 DEFAULT_TIMEOUT_S: Final = 5.0
 """Maximum time for a reply."""
@@ -28,9 +28,6 @@ ORDINARY_S: Final = 1.0
 """Commands that a robot answers within this time have the session's timeout, slower ones their own."""
 CLICK_S: Final = 120.0
 """get_robot_conf may wait for a click in the server's window."""
-SPEED_SLOT: Final = 0
-REAL_TIME: Final = 10
-"""State[0] of a server whose time runs as fast as real time."""
 _NO_REPLY: Final = Reply("none")
 _PORT_0_MEANS: Final = {
     "connect_robot": "the server has no robot number {}",
@@ -60,7 +57,7 @@ class NserverBackend:
     model
         The robot's model; the protocol does not transmit it.
     timeout_s
-        Maximum time for a reply; ws, zr and special packets have time of their own.
+        Maximum time for a reply, default 5 s; ws, zr and special packets have time of their own.
     create
         True to create the robot first.
     pid
@@ -77,9 +74,9 @@ class NserverBackend:
     """
 
     def __init__(self, stream: ByteStream, *, robot_id: int = 1, model: Model = N150,
-                 timeout_s: float = DEFAULT_TIMEOUT_S, create: bool = False, pid: int | None = None,
+                 timeout_s: float | None = None, create: bool = False, pid: int | None = None,
                  link: LinkStatistics | None = None) -> None:
-        self.timeout_s = timeout_s
+        self.timeout_s = DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s
         self.robot_id = robot_id
         self.link = link
         """Statistics of the link, None if nothing is counted."""
@@ -97,14 +94,11 @@ class NserverBackend:
         self._slowness = 1.0
         """Real time per server time, at least 1."""
         self._closed_because: str | None = None
-        try:
+        with on_error(lambda: self._finish("connecting failed")):
             connecting = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
             # The port is where the server accepts connections, the greeting the state at that time.
             self.port = self.execute(connecting).values[0]
             self.greeting = self.execute(Call("ct", EVERYTHING.smask))
-        except BaseException:
-            self._finish("connecting failed")
-            raise
 
     @property
     def closed(self) -> bool:

@@ -29,6 +29,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, SCOUT_WHEEL_IN_PER_DEG, Model
+from nclient.transports.stream import on_error
 
 ACCEPTED_AFTER: Final = 3
 """Inconsistent replies of one kind in a row, of which the last is accepted."""
@@ -508,7 +509,10 @@ class ReconnectingBackend(Wrapper):
             reply = self._inner.execute(call)
         except NomadError:
             if self._inner.closed and not self._closed.is_set():
-                self._count_loss()
+                if self.link is not None:
+                    self.link.losses += 1
+                self._pause_s = 0.0
+                self._schedule_attempt()
             raise
         # 3. Only what was answered is restored later.
         self._settings.record(call)
@@ -520,12 +524,6 @@ class ReconnectingBackend(Wrapper):
         """Close for good; a pause before an attempt ends."""
         self._closed.set()
         self._inner.close()
-
-    def _count_loss(self) -> None:
-        if self.link is not None:
-            self.link.losses += 1
-        self._pause_s = 0.0
-        self._schedule_attempt()
 
     def _schedule_attempt(self) -> None:
         self._pause_s = min(max(MIN_PAUSE_S, 2 * self._pause_s), self._max_pause_s)
@@ -546,12 +544,9 @@ class ReconnectingBackend(Wrapper):
 
     def _open_and_restore(self) -> Backend:
         backend = self._open_session()
-        try:
+        with on_error(backend.close):
             for call in self._settings.calls():
                 backend.execute(call)
-        except BaseException:
-            backend.close()
-            raise
         return backend
 
 

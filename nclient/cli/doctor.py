@@ -240,8 +240,9 @@ INTERVAL_S: Final = 0.03
 """Interval between two requests: a hundred of them last for three cycles of the sonars."""
 MAX_LOSSES_IN_ROW: Final = 10
 """Missing replies in a row after which the robot counts as absent."""
-_QUERIES: Final = tuple(row for row in COMMANDS if row.name.startswith("get_"))
-_SERVER_QUERIES: Final = frozenset({"get_rpx", "get_robot_conf"})
+_QUERIES: Final = tuple(row for row in COMMANDS if row.name.startswith("get_")
+                        and row.name not in ("get_rpx", "get_robot_conf"))
+"""Queries to the robot itself, not to its server."""
 _ERRORS: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
 
 
@@ -314,7 +315,7 @@ class Diagnostics:
         try:
             self._measure(data, exchanges, interval_s)
             if data.states:
-                self._query_all(data)
+                data.answers = {row.name: self._query_error(row) for row in _QUERIES if self._has(row, data.is_serial)}
             if self._backend.link is not None:
                 data.link = self._backend.link.counts()
         finally:
@@ -343,11 +344,6 @@ class Diagnostics:
             # 3. Pause, unless time advances only with requests.
             if data.is_serial or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
-
-    def _query_all(self, data: DiagnosticData) -> None:
-        for row in _QUERIES:
-            if row.name not in _SERVER_QUERIES and self._has(row, data.is_serial):
-                data.answers[row.name] = self._query_error(row)
 
     def _query_error(self, row: Command) -> str:
         """Return the error of a query, "" if it was answered at the first or second attempt."""
@@ -464,8 +460,7 @@ def _check(address: str, options: argparse.Namespace, search: dict[str, object] 
         print(json.dumps({"address": address, "model": chart.model, "worst": grade.name, "findings": _dicts(findings)}
                          | (search or {})))
     else:
-        for finding in findings:
-            print(finding)
+        print(*findings, sep="\n")
     return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
 
 
@@ -502,8 +497,7 @@ def _search(options: argparse.Namespace) -> int:
         grade = Grade.OK if found else Grade.FAIL
         print(json.dumps({"addresses": found, "worst": grade.name, "findings": _dicts(findings)}))
     else:
-        for finding in findings:
-            print(finding)
+        print(*findings, sep="\n")
         for address in found:
             print(f"      next: nomad doctor {shlex.quote(address)}")
     if is_nserver:
@@ -549,8 +543,8 @@ def ask_port(port: str, baud: int) -> tuple[Model | None, bool]:
     ConnectionLost
         If the port cannot be opened.
     """
-    stream, framer, is_noisy = serial.open_port(port, baud), SerialFramer(), False
-    try:
+    framer, is_noisy = SerialFramer(), False
+    with contextlib.closing(serial.open_port(port, baud)) as stream:
         # 1. What was under way before is no answer. Another device may send without a pause.
         deadline = Deadline.after(ANSWER_S)
         with contextlib.suppress(ReplyTimeout):
@@ -566,6 +560,4 @@ def ask_port(port: str, baud: int) -> tuple[Model | None, bool]:
                 for frame in framer.receive(data):
                     if frame.type == _GET_STATE and (model := guess_model(frame.data)):
                         return model, True
-    finally:
-        stream.close()
     return None, is_noisy

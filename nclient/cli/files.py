@@ -13,6 +13,7 @@ import msgspec
 
 from nclient.cli.serving import print_message
 from nclient.common.arguments import add_flag
+from nclient.common.files import read_errors_as
 from nclient.common.process import ExitCode
 from nclient.errors import RecordingError, entry_points
 from nclient.protocol.codec import find_command
@@ -111,10 +112,8 @@ class DumpCommand:
 
 def _read_plain_bytes(options: argparse.Namespace) -> Recording:
     """Return a file of plain bytes as a recording without times."""
-    try:
+    with read_errors_as(RecordingError, options.file):
         data = options.file.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
     # Plain bytes have one direction and no times; the decoder joins frames across pieces.
     decoder = FrameDecoder(options.line, get_model(options.model))
     decode, kind = (decoder.to_host, IN) if options.from_robot else (decoder.to_robot, OUT)

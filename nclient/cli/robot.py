@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 
 from nclient.backends.base import Backend
 from nclient.backends.direct import QUICK_S, send_emergency_stop
@@ -24,7 +25,7 @@ from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
 from nclient.state import RobotState
-from nclient.transports.stream import ByteStream
+from nclient.transports.stream import ByteStream, on_error
 from nclient.url import available_schemes, is_port_name, parse_address
 
 EVERY_S = 1.0
@@ -87,11 +88,9 @@ def watch(robot: Robot, parts: list[str], looks: int | None, every_s: float, *, 
           sleep: Callable[[float], None]) -> None:
     """Show the state `looks` times, forever if None; on a terminal each time in the same place."""
     in_place = sys.stdout.isatty() and looks != 1 and not as_json
-    looked = 0
-    while looks is None or looked < looks:
-        if looked:
+    for look in count() if looks is None else range(looks):
+        if look:
             sleep(every_s)
-        looked += 1
         state = robot.refresh()
         if as_json:
             print(json.dumps(state_text.as_json(state)), flush=True)
@@ -149,14 +148,12 @@ class StopCommand:
         connector = Connector(parse_address(address_or_default(options.address)))
         if options.address is None:
             print_message(f"stopping {connector.address.text}")
-        connect = connector.open_session if connector.wire == TCP else _stop_first_connector(connector)
+        connect = connector.open_session
+        if connector.wire != TCP:
+            timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
+            start_session = partial(connector.start_session, hello=False)
+            connect = StopFirstConnector(connector.open_stream, start_session, connector.model, timeout_s)
         return RobotStopper(connect, time.monotonic, time.sleep).run(options.patience)
-
-
-def _stop_first_connector(connector: Connector) -> StopFirstConnector:
-    timeout_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
-    start_session = partial(connector.start_session, hello=False)
-    return StopFirstConnector(connector.open_stream, start_session, connector.model, timeout_s)
 
 
 @dataclass
@@ -190,12 +187,9 @@ class StopFirstConnector:
         """Connect to a robot, which has replied to st. Raises as send_emergency_stop and `start_session` do."""
         # Any exception closes the line, so that the next attempt can open it again.
         stream = self.open_stream()
-        try:
+        with on_error(stream.close):
             self.replies.append(send_emergency_stop(stream, self.timeout_s, self.clock, self._count_stop).data)
             return self.start_session(stream)
-        except BaseException:
-            stream.close()
-            raise
 
     def describe_unreadable(self) -> str:
         """Return a message for a robot that replied to st, but to nothing else that could be read."""

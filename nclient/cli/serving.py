@@ -224,11 +224,8 @@ def serve_clients(listener: Listener, options: argparse.Namespace,
     """Serve one client after another, forever or, with --once, until one disconnects by itself."""
     while True:
         # One client at a time: two programs would disturb each other on one robot.
-        stream = listener.accept()
-        try:
+        with contextlib.closing(listener.accept()) as stream:
             serve(stream, session := ClientSession(options.limit_silent, listener.has_pending_request))
-        finally:
-            stream.close()
         if options.once and not session.was_idle:
             return
 
@@ -274,10 +271,8 @@ class BridgeCommand:
             except ConnectionLost as error:
                 print_message(str(error))
                 return
-            try:
+            with contextlib.closing(far):
                 forward(near, far, session, IdleMonitor(session.idle_timer, connector.wire, connector.model))
-            finally:
-                far.close()
 
         try:
             with contextlib.suppress(*SIGNALS), open_listener(options, "bridge") as listener:

@@ -24,6 +24,7 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import groupby
 from typing import Any, Final, NamedTuple
 
 from nclient.backends.base import Backend
@@ -100,7 +101,9 @@ class _Token(NamedTuple):
 
 def parse(text: str) -> tuple[ParsedCommand | Element, ...]:
     """Parse a line; an empty line or a comment has no commands. Raises ShellError."""
-    return tuple(_parse_statement(tokens) for tokens in _statements(tuple(_tokens(text))))
+    # The whole line is read first: a quote that does not end is its first error.
+    groups = groupby(tuple(_tokens(text)), lambda token: token == ("mark", ";"))
+    return tuple(_parse_statement(list(tokens)) for is_end, tokens in groups if not is_end)
 
 
 def _tokens(text: str) -> Iterator[_Token]:
@@ -117,19 +120,6 @@ def _tokens(text: str) -> Iterator[_Token]:
             token = re.sub(r"\\(.)", r"\1", token)
         if kind != "comment":
             yield _Token("text" if kind in ("double", "single") else kind, token)
-
-
-def _statements(tokens: tuple[_Token, ...]) -> Iterator[list[_Token]]:
-    statement: list[_Token] = []
-    for token in tokens:
-        if token == ("mark", ";"):
-            if statement:
-                yield statement
-            statement = []
-        else:
-            statement.append(token)
-    if statement:
-        yield statement
 
 
 def _parse_statement(tokens: list[_Token]) -> ParsedCommand | Element:

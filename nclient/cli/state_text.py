@@ -141,11 +141,8 @@ PARTS: dict[str, Callable[[RobotState], str]] = {
 """Parts of the state, and the function that formats each."""
 
 
-SHOWN = {
-    "infrared": ("infrared",), "sonar": ("sonar",), "bumper": ("bumpers",), "compass": ("compass",),
-    "laser": ("laser",), "velocity": ("velocity",),
-}  # fmt: skip
-"""Parts of the state that are shown for a kind of reply."""
+SHOWN = {"bumper": "bumpers"} | {kind: kind for kind in ("infrared", "sonar", "compass", "laser", "velocity")}
+"""Part of the state that is shown for a kind of reply."""
 
 
 def format_reply(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
@@ -157,7 +154,7 @@ def format_reply(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
     elif reply.kind == "configuration":
         yield _clicked(reply) if reply.values else next(format_parts(state, ("pose",)))
     elif reply.kind in SHOWN and not reply.values:
-        yield from format_parts(state, SHOWN[reply.kind])
+        yield from format_parts(state, (SHOWN[reply.kind],))
     elif call.name in VALUES:
         yield from VALUES[call.name](reply)
     else:

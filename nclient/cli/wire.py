@@ -20,6 +20,7 @@ Calls have the names and arguments of the C interface, Nclient.h. Four of them n
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -166,12 +167,10 @@ def _with_extra_argument(name: str, args: tuple[float, ...], options: argparse.N
                 raise WireError("ct takes no arguments; give the mask with --mask")
             mask: Mask = options.mask
             return mask.smask
-        case "packet_type":
+        case _:
             if options.packet_type is None:
                 raise WireError("special_request needs its --packet-type")
             return (options.packet_type, *args)
-        case _:
-            raise ValueError(f"an unknown argument in the table of commands: {name}")
 
 
 def _decode(options: argparse.Namespace) -> int:
@@ -242,8 +241,7 @@ def _find_command(name: str) -> Command:
 class _JoinHex(argparse.Action):
     """Converts hex digits, which may be split over several words at any place, to bytes."""
 
-    def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:
-        del parser, option_string
+    def __call__(self, _: object, namespace: Any, values: Any, _option: object = None) -> None:
         try:
             setattr(namespace, self.dest, bytes.fromhex("".join(values)))
         except ValueError:
@@ -251,14 +249,10 @@ class _JoinHex(argparse.Action):
 
 
 def _number(word: str) -> float:
-    try:
-        return int(word)
-    except ValueError:
-        pass
-    try:
-        return float(word)
-    except ValueError:
-        raise WireError(f"expected a number, not {word!r}") from None
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(word)
+    raise WireError(f"expected a number, not {word!r}")
 
 
 def _mask(text: str) -> Mask:
@@ -296,7 +290,12 @@ _TEXTS: Final = {
     "to": "To", "call": "Call", "reply": "Reply", "reply_to": "Reply to", "error": "Error", "position": "Position of",
 }
 _LASER_WIDTHS: Final = {shape.STATE: "state", shape.PREDICTION: "state", shape.LASER: "get", shape.SEGMENTS: "lines"}
-_LINE_FORMS: Final = {
+_FORMS: Final[dict[type, str]] = {
+    layouts.TcpMask: "mask", layouts.LineMask: "mask", layouts.TextWords: "text", layouts.LineText: "text",
+    layouts.ByteWords: "packet", layouts.UserPacket: "packet", layouts.ArmPacket: "packet",
+    layouts.MotionWords: "motion", layouts.ObstacleWords: "obstacle",
+}
+_FIELDS: Final = {
     id(layouts.LINE_SIGNED): "signed", id(layouts.LINE_UNSIGNED): "unsigned", id(layouts.LINE_BYTE): "byte",
     id(layouts.HISTORY_BYTE): "byte", id(layouts.FLAG_BYTE): "flag", id(layouts.LASER_MODE_BYTE): "laser_mode",
 }
@@ -364,32 +363,15 @@ def _row(row: Command) -> dict[str, Any]:
         "only_n200": row.line_models == commands.N200, "flags": [argument.is_flag for argument in row.arguments],
     }  # fmt: skip
     # Arguments that are not one word or one field each.
-    match row.tcp_request:
-        case layouts.TcpMask():
-            entry["tcp_form"] = "mask"
-        case layouts.TextWords():
-            entry["tcp_form"] = "text"
-        case layouts.ByteWords():
-            entry["tcp_form"] = "packet"
-        case layouts.MotionWords():
-            entry["tcp_form"] = "motion"
-        case layouts.ObstacleWords(tail=tail):
-            entry |= {"tcp_form": "obstacle", "tail": tail}
-        case _:
-            pass
-    match row.line_request:
-        case layouts.LineMask():
-            entry["line_form"] = "mask"
-        case layouts.LineText():
-            entry["line_form"] = "text"
-        case layouts.UserPacket():
-            entry["line_form"] = "packet"
-        case layouts.ArmPacket(elements=elements):
-            # Sizes in bytes of the packet's fields, negative for signed ones.
-            sizes = [-element.sizeof() if element is layouts.ARM_NUMBER else element.sizeof() for element in elements]
-            entry |= {"line_form": "packet", "packet": sizes}
-        case _:
-            entry["line"] = [_LINE_FORMS[id(argument.line)] for argument in row.arguments]
+    entry |= {"tcp_form": _FORMS.get(type(row.tcp_request)), "line_form": _FORMS.get(type(row.line_request))}
+    if isinstance(row.tcp_request, layouts.ObstacleWords):
+        entry["tail"] = row.tcp_request.tail
+    if isinstance(row.line_request, layouts.ArmPacket):
+        # Sizes in bytes of the packet's fields, negative for signed ones.
+        entry["packet"] = [-element.sizeof() if element is layouts.ARM_NUMBER else element.sizeof()
+                           for element in row.line_request.elements]
+    elif not entry["line_form"]:
+        entry["line"] = [_FIELDS[id(argument.line)] for argument in row.arguments]
     return entry
 
 

@@ -8,7 +8,6 @@ import contextlib
 import os
 import signal
 from collections.abc import Iterator
-from types import FrameType
 
 INTERRUPTED = 130
 """ExitCode.INTERRUPTED, whose class takes longer than all that is imported here."""
@@ -24,13 +23,9 @@ def exit_on_interrupt() -> Iterator[None]:
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    signal.signal(signal.SIGINT, _exit_at_once)
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-
-def _exit_at_once(number: int, frame: FrameType | None) -> None:
-    del number, frame
-    os._exit(INTERRUPTED)

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from nclient.errors import NomadError
+
 ErrorFactory = Callable[[str], Exception]
 """Makes the caller's error of a message."""
 _MAX_BITS: Final = 4096
@@ -23,16 +25,27 @@ and then no error message could show them."""
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
-def read_binary(path: Path, max_bytes: int, error: ErrorFactory) -> bytes:
-    """Return the content of a file of at most `max_bytes`. Raises `error`."""
+@contextlib.contextmanager
+def read_errors_as(error: ErrorFactory, path: Path) -> Iterator[None]:
+    """Turn an OSError or ValueError of the block into an error that names the path and the reason.
+
+    An error of this project is raised as it is.
+    """
     try:
-        with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+        yield
+    except NomadError:
+        raise
     except OSError as failure:
         raise error(f"{path}: cannot be read: {failure.strerror}") from failure
     except ValueError as failure:
-        # A file name with a NUL in it.
+        # A file name with a NUL in it, or bytes that are no text.
         raise error(f"{str(path)!r}: cannot be read: {failure}") from None
+
+
+def read_binary(path: Path, max_bytes: int, error: ErrorFactory) -> bytes:
+    """Return the content of a file of at most `max_bytes`. Raises `error`."""
+    with read_errors_as(error, path), path.open("rb") as file:
+        data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
         raise error(f"{path}: is longer than {max_bytes} bytes, which is the most that is read of such a file; "
                     "is it the right one?")

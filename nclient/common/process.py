@@ -79,8 +79,7 @@ def handle_termination_signals() -> Iterator[None]:
     handled = [number for number in present if before[number] not in (signal.SIG_IGN, None)]
     terminals = [output for output in _OUTPUTS if os.isatty(output)]
 
-    def terminate(number: int, frame: FrameType | None) -> NoReturn:
-        del frame
+    def terminate(number: int, _: FrameType | None) -> NoReturn:
         for other in handled:
             signal.signal(other, signal.SIG_IGN)
         _redirect_closed_terminals(terminals)
@@ -150,11 +149,9 @@ def handle_broken_pipe(error: OSError, command: str) -> ExitCode:
 
 def _discard_stdout() -> None:
     """Redirect stdout to /dev/null, so that the interpreter's flush at exit does not fail again."""
-    try:
+    # Unless stdout is not a file of the operating system.
+    with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):
-        # stdout is not a file of the operating system.
-        return
 
 
 PROGRESS_S: Final = 1.0

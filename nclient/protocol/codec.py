@@ -299,8 +299,6 @@ def update_from_request(call: commands.Call, wire_state: WireState) -> None:
             wire_state.laser_width = LINES
         case "get_ls" if not wire_state.line and wire_state.laser_mode in TCP_LINE_MODES:
             wire_state.laser_width = POINTS
-        case _:
-            pass
 
 
 def encode_tcp_request(call: commands.Call, *, wide: bool = False) -> bytes:

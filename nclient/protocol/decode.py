@@ -13,6 +13,7 @@ Also here: guessing the robot's model from a state packet that does not fit, for
     N150 or Scout     the four bits of the first bumper byte that always read 1 on a N150
 """
 
+import contextlib
 import struct
 from collections import deque
 from typing import Any
@@ -224,10 +225,8 @@ class _TcpEnds:
     def _by_type(self, frame: TcpFrame) -> Reply:
         *others, last = BY_REPLY_TYPE[SAME_SHAPE.get(frame.type, frame.type)]
         for layout in others:
-            try:
+            with contextlib.suppress(WireError):
                 return codec.parse_tcp_payload(layout, frame.payload, self.wire_state)
-            except WireError:
-                continue
         return codec.parse_tcp_payload(last, frame.payload, self.wire_state)
 
 

@@ -151,7 +151,7 @@ LINE_LONG = Number(SIGNED_LONGS)
 class _MaskedSlots(Masked):
     """State slots on the robot's own line; only those in the mask where `masked`."""
 
-    def __init__(self, first: int, last: int, masked: bool) -> None:
+    def __init__(self, first: int, last: int, masked: bool = True) -> None:
         super().__init__()
         self.slots: Sequence[int] = range(first, last + 1)
         self.masked = masked
@@ -190,9 +190,6 @@ class LineSlots(_MaskedSlots):
 
 class LineNibbles(_MaskedSlots):
     """Infrared readings on the serial line: four bits each, low half first, padded with 0 to a byte."""
-
-    def __init__(self, first: int, last: int, masked: bool = True) -> None:
-        super().__init__(first, last, masked)
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
         slots = self._selected(context)

@@ -13,7 +13,6 @@ MCAP and bags need the extra `ros` (nclient/recording/ros.py).
 """
 
 import codecs
-import contextlib
 import csv
 import math
 import shutil
@@ -25,11 +24,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from nclient.common.files import write_errors_as
+from nclient.common.files import read_errors_as, write_errors_as
 from nclient.errors import ExtraMissing, RecordingError, install_hint
 from nclient.protocol.types import M_PER_IN, MAX_SONAR_IN
 from nclient.recording.drive import RING, Drive, Sample, drive_of_recording, recording_of_drive, ring_of
 from nclient.recording.format import FORMAT, escape_controls, parse_recording
+from nclient.transports.stream import on_error
 
 RECORDING, MCAP, BAG, BAG2, CSV, CARMEN = "recording", "MCAP", "ROS 1 bag", "ROS 2 bag", "CSV", "CARMEN log"
 SUFFIXES: Final = {
@@ -161,17 +161,13 @@ def format_to_write(path: Path) -> str:
 
 def format_of_file(path: Path) -> str:
     """Return the format of a file by its first bytes. Raises RecordingError if it is none of them."""
-    try:
+    with read_errors_as(RecordingError, path):
         if path.is_dir():
             if (path / "metadata.yaml").exists():
                 return BAG2
             raise RecordingError(f"{path}: a folder without metadata.yaml; a ROS 2 bag has one")
         with path.open("rb") as file:
             start = file.read(4096)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
     # 1. Binary formats have a magic number, recordings a header.
     if start.startswith(b"\x89MCAP"):
         return MCAP
@@ -191,7 +187,10 @@ def format_of_file(path: Path) -> str:
 
 
 def is_recording(path: Path) -> bool:
-    """Return True for a recording of this project, or a file of no format that is read here."""
+    """Return True for a recording of this project, or a file of no format that is read here.
+
+    Reading such a file as a recording explains what is wrong.
+    """
     try:
         return format_of_file(path) == RECORDING
     except RecordingError:
@@ -253,29 +252,20 @@ def write_drive(drive: Drive, path: Path) -> None:
     """
     name = format_to_write(path)
     drive.omitted += _not_held(drive, name)
-    with write_errors_as(RecordingError, path), _removed_on_error(path):
-        match name:
-            case "recording":
-                path.write_text("\n".join(recording_of_drive(drive)) + "\n", encoding="utf-8")
-            case "CSV":
-                path.write_text("".join(f"{line}\n" for line in csv_lines(drive)), encoding="utf-8")
-            case "CARMEN log":
-                path.write_text("".join(f"{line}\n" for line in carmen_lines(drive)), encoding="utf-8")
-            case _:
-                _ros().write(drive if _has_equal_angles(drive) else _without_ranges(drive), path, name)
-
-
-@contextlib.contextmanager
-def _removed_on_error(path: Path) -> Iterator[None]:
-    """Remove what was written of a file or folder if the block fails."""
-    try:
-        yield
-    except BaseException:
-        if path.is_dir():
-            shutil.rmtree(path)
+    lines_of = {RECORDING: recording_of_drive, CSV: csv_lines, CARMEN: carmen_lines}
+    with write_errors_as(RecordingError, path), on_error(lambda: _remove(path)):
+        if name in lines_of:
+            path.write_text("".join(f"{line}\n" for line in lines_of[name](drive)), encoding="utf-8")
         else:
-            path.unlink(missing_ok=True)
-        raise
+            _ros().write(drive if _has_equal_angles(drive) else _without_ranges(drive), path, name)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _not_held(drive: Drive, name: str) -> Iterator[str]:
@@ -348,12 +338,10 @@ def _ros() -> ModuleType:
 
 
 def _read_text(path: Path) -> str:
-    try:
+    with read_errors_as(RecordingError, path):
         if path.stat().st_size > MAX_BYTES:
             raise RecordingError(f"{path}: larger than {MAX_BYTES >> 20} MB; split it")
         return path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 # -- CSV --------------------------------------------------------------------------------------------------------------
@@ -485,10 +473,10 @@ def _name_skipped(drive: Drive, skipped: list[tuple[str, int]]) -> None:
 
 def _with_carmen_ranges(sample: Sample, kind: str, numbers: list[float], drive: Drive) -> Sample:
     """Return a sample with the ranges of a message; the first one gives the drive its directions."""
-    ranges, directions = _carmen_sonar(numbers) if kind == "SONAR" else _carmen_laser(numbers)
+    ranges, directions, is_off_axis = (_carmen_sonar if kind == "SONAR" else _carmen_laser)(numbers)
     if not drive.samples:
         drive.directions_rad = _ring(directions)
-        if kind == "SONAR" and _is_off_axis(numbers):
+        if is_off_axis:
             drive.omitted.append("places of the sonars on the robot, other than their directions")
     # A ring on a turret: all sonars turn by the same angle.
     turned = directions[0] - drive.directions_rad[0]
@@ -504,23 +492,19 @@ def _ring(directions: tuple[float, ...]) -> tuple[float, ...]:
     return RING if all(abs(math.remainder(angle, math.tau)) < 1e-9 for angle in apart) else directions
 
 
-def _carmen_sonar(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...]]:
+def _carmen_sonar(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...], bool]:
+    """Return ranges and directions of a SONAR message, and True if sonars are beside the robot's axis."""
     count = int(numbers[1])
     mounts = numbers[2 + count :]
     if len(mounts) != 3 * count:
         raise ValueError(f"{count} sonars, {len(mounts)} numbers of their places")
-    return numbers[2 : 2 + count], tuple(mounts[2::3])
+    return numbers[2 : 2 + count], tuple(mounts[2::3]), any(mounts[0::3]) or any(mounts[1::3])
 
 
-def _is_off_axis(numbers: list[float]) -> bool:
-    """Return True if a SONAR message has sonars beside the robot's axis."""
-    mounts = numbers[2 + int(numbers[1]) :]
-    return any(mounts[0::3]) or any(mounts[1::3])
-
-
-def _carmen_laser(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...]]:
+def _carmen_laser(numbers: list[float]) -> tuple[Sequence[float], tuple[float, ...], bool]:
+    """Return the same of a FLASER message."""
     # Beams of a front laser go from -90 to 90 degrees; the last six numbers are two poses.
     count = int(numbers[0])
     if len(numbers) != count + 7 or count < 2:
         raise ValueError(f"{count} readings, {len(numbers) - 7} numbers")
-    return numbers[1 : 1 + count], tuple(math.pi * (k / (count - 1) - 0.5) for k in range(count))
+    return numbers[1 : 1 + count], tuple(math.pi * (k / (count - 1) - 0.5) for k in range(count)), False

@@ -28,10 +28,11 @@ import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from nclient.common.files import write_error_hint, write_errors_as
+from nclient.common.files import read_errors_as, write_error_hint, write_errors_as
 from nclient.errors import RecordingError
 
 log = logging.getLogger(__name__)
@@ -185,15 +186,8 @@ def read_recording(path: Path) -> Recording:
     RecordingError
         If the file cannot be read or is no recording; the message has file, line and remedy.
     """
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return _recording(file, str(path))
-    except RecordingError:
-        raise
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
+    with read_errors_as(RecordingError, path), path.open(encoding="utf-8", errors="replace") as file:
+        return _recording(file, str(path))
 
 
 def parse_recording(text: str, name: str) -> Recording:
@@ -212,13 +206,11 @@ def _recording(file: TextIO, name: str) -> Recording:
 
 def _lines(file: TextIO, name: str) -> Iterator[str]:
     # A line limit keeps a huge file without line ends from being read into memory.
-    number = 1
-    while line := file.readline(MAX_LINE + 1):
+    for number, line in enumerate(iter(partial(file.readline, MAX_LINE + 1), ""), start=1):
         if len(line) > MAX_LINE:
             raise RecordingError(f"{name}, line {number}: longer than {MAX_LINE} characters, which no line of a "
                                  "recording is; is it the right file?")
         yield line
-        number += 1
 
 
 def _header(line: str, name: str) -> dict[str, Any]:
@@ -240,20 +232,13 @@ def _entries(lines: Iterator[str], name: str, remarks: list[str]) -> Iterator[En
         if not line.strip():
             continue
         try:
-            yield _entry(line, number, name)
-        except RecordingError:
+            yield _read_entry(json.loads(line), number)
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             # Only a last line may be incomplete.
             if line.endswith("\n"):
-                raise
+                raise RecordingError(f"{name}, line {number}: no entry of a recording ({type(error).__name__}: "
+                                     f"{error}); mend it or take it out") from None
             remarks.append(f"{name}, line {number}: cut short after {len(line)} characters, and left out")
-
-
-def _entry(line: str, number: int, name: str) -> Entry:
-    try:
-        return _read_entry(json.loads(line), number)
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-        raise RecordingError(f"{name}, line {number}: no entry of a recording ({type(error).__name__}: {error}); mend "
-                             "it or take it out") from None
 
 
 def _read_entry(whole: dict[str, Any], number: int) -> Entry:

@@ -224,9 +224,6 @@ STRICT, LOOSE = "strict", "loose"
 ORDERS: Final = (STRICT, LOOSE)
 _KEEP_ALIVE: Final = frozenset({"gs", "conf_tm"})
 """Requests that clients send by themselves at times of their own choice: a program need not repeat them."""
-_DISCONNECT: Final = "disconnect_robot"
-_TIMEOUT: Final = "conf_tm"
-_TIME: Final = "sim_control"
 _NOT_AVAILABLE: Final = Reply("error", values=(4,))
 
 
@@ -269,13 +266,13 @@ class Player:
         index = self._find(request)
         if index is None:
             # 2. Not recorded, but harmless: a disconnect, a sleep, or the motion timeout that connecting sets.
-            if request.name == _DISCONNECT:
+            if request.name == "disconnect_robot":
                 return []
-            if request.name == _TIME:
+            if request.name == "sim_control":
                 state = tcp_wire_state(self._connection.model)
                 state.wide = bool(self._reader.tap.wide)
-                return [ReplyChunk(0.0, codec.encode_tcp_reply(BY_NAME[_TIME], _NOT_AVAILABLE, state))]
-            data = find_state_reply(self._connection, self._next) if request.name == _TIMEOUT else b""
+                return [ReplyChunk(0.0, codec.encode_tcp_reply(BY_NAME[request.name], _NOT_AVAILABLE, state))]
+            data = find_state_reply(self._connection, self._next) if request.name == "conf_tm" else b""
             if data:
                 return [ReplyChunk(0.0, data)]
             raise self._mismatch_error(request)

@@ -13,8 +13,10 @@ Peers are found by name and never imported here.
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout, entry_points
@@ -22,8 +24,15 @@ from nclient.errors import AddressError, ConnectionLost, ReplyTimeout, entry_poi
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-import contextlib
-import socket
+
+@contextlib.contextmanager
+def on_error(undo: Callable[[], object]) -> Iterator[None]:
+    """Call a function if the block fails, by Ctrl-C too; the error goes on."""
+    try:
+        yield
+    except BaseException:
+        undo()
+        raise
 
 
 class Deadline:

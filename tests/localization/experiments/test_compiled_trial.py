@@ -37,7 +37,7 @@ def test_single_steps_are_those_of_the_arrays(monkeypatch: pytest.MonkeyPatch) -
     setup = course()
     # In plain Python, whose walls are the filter's own.
     monkeypatch.setattr(figure_trial, "load_drive", lambda: figure_trial.make_drive(0))
-    for name in ("WallArrays", "ListedWalls"):
+    for name in ("PackedWalls", "ListedWalls"):
         monkeypatch.setattr(compiled, name, lambda *_: setup.walls)
     with np.errstate(invalid="ignore"):
         one, many = run_compiled(setup, range(3)), run(setup, range(3))

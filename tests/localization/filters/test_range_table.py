@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from localization.filters import range_table
-from localization.filters.compiled import ConeSonarRow, ListedWalls, row_of
+from localization.filters.compiled import ConeSonarRow, row_of
 from localization.filters.range_table import (
     DIRECTIONS,
     HEADING_STD_RAD,
@@ -43,9 +43,8 @@ def plain_echoes(directions: int) -> tuple[np.ndarray, np.ndarray]:
     sonar, segments = ConeSonar(), wall_map(ROOMS).segments
     faces, vertices = rows_of(reflectors(segments), sonar)
     ranges, probabilities = np.zeros((len(PLACES), directions)), np.zeros((len(PLACES), directions))
-    walls = ListedWalls(segments, segments, (0.0, 0.0, 0.0), segments.tolist())
     likeliest_echoes(
-        PLACES, RING_IN, HEADING_STD_RAD, row_of(ConeSonarRow, sonar), walls, faces, vertices, ranges, probabilities
+        PLACES, RING_IN, HEADING_STD_RAD, row_of(ConeSonarRow, sonar), segments, faces, vertices, ranges, probabilities
     )
     return ranges, probabilities
 
