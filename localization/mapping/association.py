@@ -67,7 +67,8 @@ OFF_CONE_RAD: Final = radians(4.0)
 """Added to the half angle of a cone: the uncertainty of the heading."""
 MIN_GROWTH_IN, MAX_GROWTH_IN, GROWTH = 20.0, 48.0, 0.4
 """A wall may be measured this fraction of its length beyond the part seen so far, within limits: beyond a gap that a
-robot passes. The line of a wall of 120 in is known well enough beyond a door."""
+robot passes. The line of a wall of 120 in is known well enough beyond a door, but not beyond another wall: after a turn
+at a door a cabinet of the next room, 16 in before an outer wall, was taken for more of that wall."""
 MIN_RAY_COS: Final = 0.2
 """A ray may belong to a wall that it meets at most 78 degrees off the normal. In rooms 7 % of the rays meet their wall
 at more than 60 degrees, fewer than 1 % at more than 78; what no wall explains gives birth to false ones."""
@@ -430,10 +431,23 @@ def _wall_geometry(
     return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
 
 
-def growth_of(extents: Floats) -> Floats:
-    """Return how far each wall (w,) may go on beyond the part of it that was seen, of extents (w, 2)."""
-    growth: Floats = np.clip(GROWTH * (extents[:, 1] - extents[:, 0]), MIN_GROWTH_IN, MAX_GROWTH_IN)
-    return growth
+def growth_of(walls: Floats, extents: Floats) -> Floats:
+    """Return how far walls (w, 2) may go on beyond either end (w, 2) of the part of them that was seen.
+
+    Beyond another wall that they meet there only MIN_GROWTH_IN: in line with them may be a cabinet of the next room.
+    """
+    growth = np.clip(GROWTH * (extents[:, 1:] - extents[:, :1]), MIN_GROWTH_IN, MAX_GROWTH_IN)
+    # The crossing of two lines, (w, w) along the one and along the other.
+    angle, offset = walls.T
+    between = angle - angle[:, None]
+    crosses = np.abs(np.sin(between)) > np.sin(MIN_CROSSING_RAD)
+    along = (offset - offset[:, None] * np.cos(between)) / np.where(crosses, np.sin(between), 1.0)
+    of_other, (low, high) = along.T, extents.T
+    is_met = crosses & (of_other > low - END_IN) & (of_other < high + END_IN)
+    onward = np.stack((extents[:, :1] - along, along - extents[:, 1:]), axis=-1)
+    limit = np.where(is_met[..., None] & (onward > -END_IN), np.maximum(onward, 0.0) + MIN_GROWTH_IN, np.inf)
+    found: Floats = np.minimum(growth, limit.min(axis=1, initial=np.inf))
+    return found
 
 
 def residual_matrix(
@@ -459,8 +473,8 @@ def residual_matrix(
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
-    growth = growth_of(extents)
-    on_wall = (feet > extents[:, 0] - growth) & (feet < extents[:, 1] + growth)
+    growth = growth_of(state.walls, extents)
+    on_wall = (feet > extents[:, 0] - growth[:, 0]) & (feet < extents[:, 1] + growth[:, 1])
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
     # 2. Points.
@@ -518,8 +532,8 @@ def _hidden_points(estimate: MapEstimate) -> tuple[Indices, Indices]:
     # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
     along = state.points[:, 1:] * c - state.points[:, :1] * s
     on_wall = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
-    onward, growth = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1), growth_of(extents)[:, None]
-    on_wall &= (onward < growth).all(axis=-1)
+    onward = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1)
+    on_wall &= (onward < growth_of(state.walls, extents)).all(axis=-1)
     # 2. Inner corners: how far the other wall goes on from there to where the face's normal points, or away from it.
     slope = c[:, None] * -s + s[:, None] * c
     ends = onward * (1.0, -1.0)

@@ -26,7 +26,7 @@ Yamauchi, A Frontier-Based Approach for Autonomous Exploration (1997). Quinlan, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import dist, hypot, inf
 from typing import Any, Final
 
@@ -68,6 +68,8 @@ PASSED_IN: Final = 1.5
 """Walls nearer to the path than the body less this, for errors of the map, are doors: the robot has passed them."""
 TIGHT: Final = 4.0
 """Cells beside a wall cost so many times more; half of that halfway."""
+EXACT_IN: Final = 4.0
+"""Space to walls is exact where it differs by less from the least space: that of cells is wrong by up to 3 in."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
 lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
@@ -201,6 +203,18 @@ class _Finished:
         self.poses, self.walls = estimate.state.poses, walls_and_posts(estimate)
 
 
+class _Solution:
+    """What a solution of the map shows, computed once: walls, paths of sound, and places that depend on it alone."""
+
+    def __init__(self, estimate: MapEstimate | None = None) -> None:
+        self.estimate = estimate
+        self.pieces: list[Piece] = []
+        self.paths: tuple[Floats, Floats] = np.zeros((0, 2)), np.zeros((0, 2))
+        self.places: list[Place] | None = None
+        if estimate is not None:
+            self.pieces, self.paths = extract_walls(estimate, with_accuracy=False), free_paths(estimate)
+
+
 class Explorer:
     """Chooses where to drive; a driver of `survey`.
 
@@ -238,7 +252,7 @@ class Explorer:
         self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = False
-        self._pieces: list[Piece] = []
+        self._solution = _Solution()
         self.places: list[Place] = []
         """Places worth visiting at the last decision: what is open when the drive ends."""
 
@@ -316,6 +330,7 @@ class Explorer:
             # Nothing left to do: with the map revised, and without what has blocked legs, there may be.
             self._revisions += 1
             mapper.revise()
+            self._solution = _Solution()
             self.blocked.clear()
         # 2. At the end a straight leg.
         if path is None:
@@ -372,8 +387,9 @@ class Explorer:
     def _grid(self, mapper: LiveMapper | _Finished, pose: Floats) -> Grid:
         """Return the grid of the map as it is."""
         # Walls as far as they were seen, and as far as their corners.
-        self._pieces = [] if mapper.estimate is None else extract_walls(mapper.estimate, with_accuracy=False)
-        ends = np.array([piece.ends.reshape(4) for piece in self._pieces]).reshape(-1, 4)
+        if self._solution.estimate is not mapper.estimate:
+            self._solution = _Solution(mapper.estimate)
+        ends = np.array([piece.ends.reshape(4) for piece in self._solution.pieces]).reshape(-1, 4)
         positions = mapper.poses[:, :2]
         walls = passed(np.concatenate((mapper.walls, ends)), positions, self._body_in - PASSED_IN)
         everything = np.concatenate((walls.reshape(-1, 2), positions, pose[None, :2]))
@@ -384,7 +400,7 @@ class Explorer:
         # 1. Where sound went: in the map, and since it was solved.
         for estimate in (mapper.estimate, mapper.recent):
             if estimate is not None:
-                self._mark_sectors(grid, estimate)
+                self._mark_sectors(grid, self._solution.paths if estimate is mapper.estimate else free_paths(estimate))
                 self._mark_echoes(grid, estimate)
                 self._mark_circles(grid, estimate)
         grid.echo_in = np.full(grid.free.shape, np.inf)
@@ -412,7 +428,7 @@ class Explorer:
             at = grid.cells(samples)
             marks[at[:, 0], at[:, 1]] = True
             grid.space = self._image.distance_transform_edt(~marks, sampling=CELL_IN)
-            near = np.argwhere(grid.free & (grid.space < 2.0 * self._body_in))
+            near = np.argwhere(grid.free & (np.abs(grid.space - self._body_in - MARGIN_IN) < EXACT_IN))
             if len(near):
                 grid.space[near[:, 0], near[:, 1]] = wall_distances(grid.centres(near), obstacles)
         self.find_reach(grid, pose)
@@ -425,9 +441,9 @@ class Explorer:
         points = np.array(list(self.blocked))
         return np.concatenate((points - (1.0, 0.0), points + (1.0, 0.0)), axis=1)  # noqa: RUF005
 
-    def _mark_sectors(self, grid: Grid, estimate: MapEstimate) -> None:
-        """Mark the sectors before the reflecting spots of explained echoes."""
-        starts, ends = free_paths(estimate)
+    def _mark_sectors(self, grid: Grid, paths: tuple[Floats, Floats]) -> None:
+        """Mark the sectors about paths of sound, of starts and ends (p, 2), to the spots that reflected it."""
+        starts, ends = paths
         span = ends - starts
         length, angle = np.hypot(span[:, 0], span[:, 1]), np.arctan2(span[:, 1], span[:, 0])
         keep = length > SAMPLE_IN
@@ -648,10 +664,13 @@ class Explorer:
         found: list[tuple[Place, float]] = [
             (Place("frontier", x, y, size), SIGHT_IN) for x, y, size in self._frontiers(grid).tolist()
         ]
-        if mapper.estimate is not None and len(mapper.estimate.state.walls):
-            corners = _corner_places(self._pieces, self._body_in + CORNER_IN)
-            places = _end_places(mapper.estimate, self._pieces) + _span_places(mapper.estimate) + corners
-            found += [(place, REACH_CELLS_IN) for place in places]
+        places = self._solution.places
+        if places is None and mapper.estimate is not None and len(mapper.estimate.state.walls):
+            pieces = self._solution.pieces
+            corners = _corner_places(pieces, self._body_in + CORNER_IN)
+            spans = _span_places(mapper.estimate, self._solution.paths)
+            self._solution.places = places = _end_places(mapper.estimate, pieces) + spans + corners
+        found += [(replace(place), REACH_CELLS_IN) for place in places or ()]
         # Cells (n, 2) far from the path and from walls, the farthest first.
         rows, columns = reached.T
         away = self._image.distance_transform_edt(~grid.driven, sampling=CELL_IN)[rows, columns]
@@ -825,10 +844,10 @@ def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
 
 
 
-def _span_places(estimate: MapEstimate) -> list[Place]:
+def _span_places(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Place]:
     """Return the places before both sides of spans between which sound has not passed, too seldom to be a wall."""
     found = []
-    for span in uncrossed_spans(estimate, free_paths(estimate)):
+    for span in uncrossed_spans(estimate, paths):
         if span.is_wall or pass_through(estimate.state.walls, span.ends[None], POINT_ON_LINE_IN).any():
             continue
         ends = span.ends.reshape(2, 2)

@@ -9,9 +9,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
-from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign
+from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
 from localization.mapping.consistency import compare_returns
 from localization.mapping.learn import part_points
+from localization.mapping.measurements import rotate
 from localization.mapping.problem import (
     NO_FEATURE,
     RIGHT_ANGLE_STD_RAD,
@@ -200,3 +201,30 @@ def test_late_ranges_that_do_not_count_contradict_nothing(estimate: MapEstimate)
     weight = np.where((feature == 0) & (trajectory.node > 58), 0.0, trajectory.weight)
     made.problem = estimate.problem.with_trajectory(replace(trajectory, weight=weight))
     assert len(compare_returns(made)) < tested
+
+
+@pytest.mark.parametrize(("meets", "expected"), [
+    ([(60.0, 0.0, 60.0, 40.0)], (40.0, 20.0)),  # at its end
+    ([(75.0, -20.0, 75.0, 20.0)], (40.0, 35.0)),  # 15 in beyond it
+    ([(60.0, 30.0, 60.0, 60.0)], (40.0, 40.0)),  # one whose line alone crosses it there
+    ([(0.0, 0.0, 0.0, 40.0)], (40.0, 40.0)),  # in its middle
+    ([(-40.0, 0.0, -60.0, 30.0), (75.0, -20.0, 75.0, 20.0)], (20.0, 35.0)),
+    ([(60.0, 0.0, 90.0, 2.0)], (40.0, 40.0)),  # the same wall, nearly
+])  # fmt: skip
+@pytest.mark.parametrize("turn", [0.0, 1.1, -2.9])
+def test_a_wall_goes_on_less_beyond_one_that_it_meets(
+    meets: list[tuple[float, ...]], expected: tuple[float, float], turn: float
+) -> None:
+    segments = np.array([(-40.0, 0.0, 60.0, 0.0), *meets]).reshape(-1, 2, 2)
+    shift = np.array((31.0, -17.0))
+    ends = rotate(segments.reshape(-1, 2), np.full(2 * len(segments), turn)).reshape(-1, 2, 2) + shift
+    along = ends[:, 1] - ends[:, 0]
+    angle = np.arctan2(-along[:, 0], along[:, 1])
+    normal = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    walls = np.stack((angle, (normal * ends[:, 0]).sum(axis=1)), axis=-1)
+    extents = np.sort((ends * np.stack((-normal[:, 1], normal[:, 0]), axis=-1)[:, None]).sum(axis=2), axis=1)
+    found = growth_of(walls, extents)[0]
+    # The normal turned left is against the direction in which the ends are given.
+    np.testing.assert_allclose(np.sort(found), np.sort(expected), atol=1e-9)
+    first_is_low = (ends[0, 0] @ np.array((-normal[0, 1], normal[0, 0]))) < extents[0].mean()
+    np.testing.assert_allclose(found if first_is_low else found[::-1], expected, atol=1e-9)
