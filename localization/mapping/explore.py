@@ -204,7 +204,7 @@ class _Finished:
 
 
 class _Solution:
-    """What a solution of the map shows, computed once: walls, paths of sound, and places that depend on it alone."""
+    """Results of a solution of the map, computed once: walls, paths of sound, and places that depend on it alone."""
 
     def __init__(self, estimate: MapEstimate | None = None) -> None:
         self.estimate = estimate
