@@ -173,18 +173,29 @@ class Axis:
     @property
     def velocity(self) -> float:
         """Units per second now; exactly 0 when still, and at the very start of a ramp."""
-        return self.current_phase[1]
+        if not self._phases:
+            return 0.0
+        phase = self._phases[0]
+        return phase.velocity + phase.acceleration * self._elapsed_s
 
     @property
     def max_speed(self) -> float:
         """Upper bound of the speed until the next command, units per second: phases end at rest or at cruise."""
-        return max((abs(phase.velocity) for phase in self._phases), default=0.0)
+        phases = self._phases
+        if len(phases) == 1:
+            return abs(phases[0].velocity)
+        return max((abs(phase.velocity) for phase in phases), default=0.0)
 
     @property
     def velocity_bounds(self) -> tuple[float, float]:
         """Bounds of the velocity until the next command, lower <= 0 <= upper."""
-        velocities = [0.0, *(phase.velocity for phase in self._phases)]
-        return min(velocities), max(velocities)
+        lower = upper = 0.0
+        for _, velocity, _ in self._phases:
+            if velocity < lower:
+                lower = velocity
+            elif velocity > upper:
+                upper = velocity
+        return lower, upper
 
     @property
     def current_phase(self) -> tuple[float, float, float]:
@@ -204,8 +215,10 @@ class Axis:
         return self._phases, self._elapsed_s, self.limits.resolution
 
     def command(self, command: Command, value: float) -> None:
-        """Execute one of the commands of mv, with its value; LEAVE does nothing."""
+        """Execute one of the commands of mv, with its value."""
         match command:
+            case Command.LEAVE:
+                pass
             case Command.VELOCITY:
                 self.move_at(value)
             case Command.RELATIVE:

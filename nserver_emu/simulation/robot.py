@@ -429,10 +429,14 @@ class SimulatedRobot:
         # Before the first segment of a span the robot stands.
         if not self._trajectory:
             return self.disc
-        begun = (piece for piece in reversed(self._trajectory) if piece[0] <= instant_ps)
-        begin_ps, placed, free_s = next(begun, self._trajectory[0])
-        x, y = placed.position(min(max((instant_ps - begin_ps) / PS_PER_S, 0.0), free_s))
-        return x, y, self.model.body.radius_in
+        for piece in reversed(self._trajectory):
+            if piece[0] <= instant_ps:
+                break
+        begin_ps, placed, free_s = piece
+        elapsed_s = (instant_ps - begin_ps) / PS_PER_S
+        if elapsed_s <= 0.0:
+            return placed.x_in, placed.y_in, self.model.body.radius_in
+        return (*placed.position(elapsed_s if elapsed_s < free_s else free_s), self.model.body.radius_in)
 
     def max_travel_in(self, span_s: float) -> float:
         """Return an upper bound of the distance travelled within a time if no command comes, inches; 0 only at rest.

@@ -174,7 +174,10 @@ class Compass:
         self.direction_rad = wrap_to_2pi(direction_rad + error)
 
     def _extend_turn(self, angle_rad: float) -> None:
-        self._min_rad, self._max_rad = min(self._min_rad, angle_rad), max(self._max_rad, angle_rad)
+        if angle_rad < self._min_rad:
+            self._min_rad = angle_rad
+        elif angle_rad > self._max_rad:
+            self._max_rad = angle_rad
 
     def _error(self, direction_rad: float, count: int) -> float:
         """Return the error of a reading, with the last of `count` draws: each reading has its own, used or not."""
