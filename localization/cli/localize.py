@@ -304,7 +304,7 @@ def localize_recorded(options: argparse.Namespace) -> int:
     # 3. Run, results.
     done = run_log(rows, body.ring.round_s, make(options.method, config, belief))
     if options.estimates:
-        options.estimates.write_text(_table(done), encoding="utf-8")
+        arguments.write_text(options.estimates, _table(done))
     if options.picture:
         draw_run(options.picture, world, done, body)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
