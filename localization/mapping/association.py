@@ -531,9 +531,13 @@ def _hidden_points(estimate: MapEstimate) -> tuple[Indices, Indices]:
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
     along = state.points[:, 1:] * c - state.points[:, :1] * s
-    on_wall = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]) < CORNER_IN
+    across = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1])
     onward = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1)
-    on_wall &= (onward < growth_of(state.walls, extents)).all(axis=-1)
+    on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents)).all(axis=-1)
+    # Of both faces of a thin wall it is on the nearer one: the other one would hide it from where it is measured.
+    facing = estimate.sides[:, None] * estimate.sides * np.cos(state.walls[:, None, 0] - state.walls[:, 0])
+    is_opposite, is_nearer = facing < -np.cos(MIN_CROSSING_RAD), across[:, None] < across[..., None]
+    on_wall &= ~(is_nearer & on_wall[:, None] & is_opposite).any(axis=2)
     # 2. Inner corners: how far the other wall goes on from there to where the face's normal points, or away from it.
     slope = c[:, None] * -s + s[:, None] * c
     ends = onward * (1.0, -1.0)

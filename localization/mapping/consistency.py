@@ -14,7 +14,11 @@ beside the early one. Without a step of the others, d = E^-1 e with the covarian
     e' E^-1 e    is chi-square distributed with 2 degrees of freedom for each feature, if both are one
 
 for each feature alone, and for all of them together: a bent path moves many by a little (score test). E and e are those
-of the unknowns d after all others are eliminated from the normal equations.
+of the unknowns d after all others are eliminated from the normal equations. From another place the same surface has
+other errors, however many ranges were measured: edges are round, and walls rough. With D, a displacement that changes
+the late ranges by LATE_STD_IN, in inches and as they count, d has the covariance E^-1 + D:
+
+    e' (E + E D E)^-1 e    D = LATE_STD_IN^2 (sum w) (J' W J)^-1    J derivatives of the late ranges, W their weights w
 
 What a map should explain are the ranges that repeat: those that agree with the one before or after of the same sonar,
 as any smooth surface does. Random readings do not, and are left out.
@@ -68,6 +72,8 @@ REPEAT_TANGENT: Final = 1.7
 """Of 60 degrees: the steepest incidence of a ray at which its range should repeat while the robot turns."""
 LATE, LATE_MAP = "late ", "late map"
 """Kinds of the parts that compare what was measured late with what was measured early."""
+LATE_STD_IN: Final = 0.15
+"""Deviation of the errors that ranges to a feature have in common, and of those that grow along it, from one place."""
 MIN_RETURN_ECHOES: Final = 4
 """Echoes before and after the robot had left a feature, that tell where each of both is."""
 
@@ -144,13 +150,8 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     """
     state = estimate.state
     linear = estimate.problem.linearize_echoes(state, estimate.assignment)
-    # Ranges that do not count cannot disagree.
-    counts = estimate.problem.trajectory.weight[linear.echoes] > 0.0
-    feature = np.where(counts, estimate.assignment.feature[linear.echoes], NO_FEATURE)
-    groups = [np.flatnonzero(feature == number) for number in range(state.features)]
-    late = {
-        number: rows for number, group in enumerate(groups) if len(rows := _measured_again(group, linear.node[group]))
-    }
+    groups = _groups(estimate, linear.echoes)
+    late = _late_rows(groups, linear.node)
     if not late:
         return []
     E, e = late_information(estimate, list(late.values()))
@@ -160,18 +161,68 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     variance = float(np.square(linear.residuals[:, 0]).sum() / max(float(free.sum()), MIN_FREEDOM))
     factor, places = min(variance, 1.0) * (1.0 + rho) / (1.0 - rho), _places(estimate)
     walls = len(state.walls)
-    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, RETURN_RISK, factor))]
+    D = np.zeros_like(E)
+    for row, rows in enumerate(late.values()):
+        own = slice(WALL * row, WALL * (row + 1))
+        D[own, own] = common_errors(linear.by_border[rows, 0, :WALL], linear.by_border[rows, 0, WALL])
+    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, D, RETURN_RISK, factor))]
     for row, number in enumerate(late):
         own = slice(WALL * row, WALL * (row + 1))
         kind = LATE + ("wall" if number < walls else "point")
-        parts.append(Part(kind, places[number], *_score(E[own, own], e[own], RETURN_RISK / len(late), factor)))
+        score = _score(E[own, own], e[own], D[own, own], RETURN_RISK / len(late), factor)
+        parts.append(Part(kind, places[number], *score))
     return parts
 
 
-def _score(E: Floats, e: Floats, risk: float, factor: float) -> tuple[float, float, float]:
-    """Return e' E^-1 e, its degrees of freedom, and the quantile of a variance that is larger by a factor."""
-    score = float(e @ np.linalg.solve(E + TINY * np.eye(len(E)), e))
+def common_errors(J: Floats, roots: Floats) -> Floats:
+    """Return the covariance D (2, 2) of a feature's displacement that common errors of k ranges look like.
+
+    Parameters
+    ----------
+    J
+        (k, 2) derivatives of the ranges by the feature, times the roots of the weights.
+    roots
+        (k,) roots of the weights.
+    """
+    D: Floats = LATE_STD_IN**2 * (roots @ roots) * np.linalg.inv(J.T @ J + TINY * np.eye(WALL))
+    return D
+
+
+def _score(E: Floats, e: Floats, D: Floats, risk: float, factor: float) -> tuple[float, float, float]:
+    """Return e' (E + E D E)^-1 e, its degrees of freedom, and the quantile of a variance that is larger by a factor."""
+    score = float(e @ np.linalg.solve(E + E @ D @ E + TINY * np.eye(len(E)), e))
     return score, float(len(e)), chi_square_quantile(1.0 - risk, float(len(e))) * factor
+
+
+def late_scores(estimate: MapEstimate) -> list[tuple[int, float, Indices]]:
+    """Return number, score e' E^-1 e and late rows of the features that were left and measured again.
+
+    The score is by how much the sum of squares falls if the late feature is another one. The rows are those of the
+    explained echoes.
+    """
+    linear = estimate.problem.linearize_echoes(estimate.state, estimate.assignment)
+    late = _late_rows(_groups(estimate, linear.echoes), linear.node)
+    if not late:
+        return []
+    E, e = late_information(estimate, list(late.values()))
+    blocks, no_errors = E.reshape(len(late), WALL, len(late), WALL), np.zeros((WALL, WALL))
+    return [
+        (number, _score(blocks[k, :, k], own, no_errors, RETURN_RISK, 1.0)[0], rows)
+        for k, ((number, rows), own) in enumerate(zip(late.items(), e.reshape(-1, WALL), strict=True))
+    ]
+
+
+def _groups(estimate: MapEstimate, echoes: Indices) -> list[Indices]:
+    """Return the rows of each feature among explained echoes, of those that count: others cannot disagree."""
+    counts = estimate.problem.trajectory.weight[echoes] > 0.0
+    feature = np.where(counts, estimate.assignment.feature[echoes], NO_FEATURE)
+    return [np.flatnonzero(feature == number) for number in range(estimate.state.features)]
+
+
+def _late_rows(groups: list[Indices], nodes: Indices) -> dict[int, Indices]:
+    """Return the rows since each feature that was left was measured again, by its number."""
+    late = {number: _measured_again(group, nodes[group]) for number, group in enumerate(groups)}
+    return {number: rows for number, rows in late.items() if len(rows)}
 
 
 def _measured_again(group: Indices, nodes: Indices) -> Indices:

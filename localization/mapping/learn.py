@@ -51,6 +51,7 @@ from localization.mapping.association import (
     track,
     weigh_ranges,
 )
+from localization.mapping.consistency import late_scores
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import (
@@ -108,6 +109,8 @@ SWALLOW_IN: Final = 40.0
 DIVIDERS_RAD: Final = np.linspace(0.0, np.pi, 12, endpoint=False)
 """Normals of the lines that are tried."""
 MIN_PART_ECHOES: Final = 5
+PART_PENALTY: Final = 15.0
+"""Of the second of two points that were one until late: 2 ln(200 echoes), and the choice of one of so many points."""
 MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
 """Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
 HIDDEN_FRACTION: Final = 0.5
@@ -224,7 +227,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (part_points, join_points, merge, split, swallow, absorb_points, prune):
+    for change in (part_points, part_late_points, join_points, merge, split, swallow, absorb_points, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -388,19 +391,43 @@ def part_points(estimate: MapEstimate) -> int:
         gain[np.minimum(left, right) < MIN_PART_ECHOES] = 0.0
         if not len(z) or gain.max() < MIN_PART_GAIN:
             continue
-        trial = estimate.copy()
-        trial.add_point(estimate.state.points[number])
-        feature = trial.assignment.feature.copy()
-        feature[echoes[is_left[:, gain.argmax()]]] = trial.state.features - 1
-        trial.assignment = replace(trial.assignment, feature=feature)
-        trial.optimize(JOIN_STEPS, robust=False)
-        for _ in range(2):
-            trial.optimize(3)
-            trial.associate()
+        trial = _with_two_points(estimate, number, echoes[is_left[:, gain.argmax()]])
         if trial.cost < estimate.cost:
             estimate.replace_by(trial)
             parted += 1
     return parted
+
+
+def part_late_points(estimate: MapEstimate) -> int:
+    """Replace points that are elsewhere since the robot came back by two where the total cost falls.
+
+    A map that is bent until one point is both explains the echoes of both: their residuals do not show it. Returns the
+    number of new points.
+    """
+    parted, walls = 0, len(estimate.state.walls)
+    explained = np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
+    for number, score, rows in late_scores(estimate):
+        if number < walls or score < PART_PENALTY:
+            continue
+        trial = _with_two_points(estimate, number - walls, explained[rows])
+        if trial.cost - PENALTY["point"] + PART_PENALTY < estimate.cost:
+            estimate.replace_by(trial)
+            parted += 1
+    return parted
+
+
+def _with_two_points(estimate: MapEstimate, number: int, echoes: Indices) -> MapEstimate:
+    """Return the map with a second point, which starts with some echoes of one, optimized."""
+    trial = estimate.copy()
+    trial.add_point(estimate.state.points[number])
+    feature = trial.assignment.feature.copy()
+    feature[echoes] = trial.state.features - 1
+    trial.assignment = replace(trial.assignment, feature=feature)
+    trial.optimize(JOIN_STEPS, robust=False)
+    for _ in range(2):
+        trial.optimize(3)
+        trial.associate()
+    return trial
 
 
 def drop_hidden(estimate: MapEstimate) -> int:

@@ -14,9 +14,12 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import (
+    LATE_STD_IN,
     RETURN_RISK,
     RISK,
+    _score,
     check_parts,
+    common_errors,
     compare_returns,
     is_consistent,
     late_information,
@@ -219,6 +222,33 @@ def test_wall_that_is_elsewhere_later_contradicts(estimate: MapEstimate) -> None
     variance = r @ r / (len(r) - leverages(shifted.problem, shifted.state, shifted.assignment)[0].sum())
     assert 0.3 < variance < 1.0
     assert wall.limit == pytest.approx(chdtri(2.0, RETURN_RISK) * variance * (1.0 + rho) / (1.0 - rho))
+
+
+def test_common_errors_change_the_ranges_by_their_deviation() -> None:
+    rng = np.random.default_rng(3)
+    roots = rng.uniform(0.2, 2.0, 30)
+    # A wall of which 20 in are seen: (angle, offset) change the range at the foot f by offset - f angle.
+    by_feature = np.stack((-rng.uniform(100.0, 120.0, 30), np.ones(30)), axis=-1)
+    D = common_errors(by_feature * roots[:, None], roots)
+    changes = by_feature @ np.linalg.cholesky(D) @ rng.standard_normal((2, 20_000))
+    mean_square = np.average(np.square(changes).mean(axis=1), weights=roots**2)
+    # One deviation for what all have in common, and one for what grows along the wall.
+    assert mean_square == pytest.approx(2.0 * LATE_STD_IN**2, rel=0.03)
+
+
+def test_score_is_that_of_displacements_with_common_errors() -> None:
+    rng = np.random.default_rng(4)
+    A, B = rng.standard_normal((2, 4, 4))
+    E, D = A @ A.T + np.eye(4), B @ B.T
+    # Estimates of no displacement: errors of the ranges, whose covariance is E^-1, and common ones.
+    covariance = np.linalg.inv(E) + D
+    d = np.linalg.cholesky(covariance) @ rng.standard_normal((4, 20_000))
+    scores = [_score(E, E @ each, D, 0.05, 1.0) for each in d.T]
+    squares = np.array([score for score, _, _ in scores])
+    assert scores[0][1:] == (4.0, pytest.approx(chdtri(4.0, 0.05)))
+    np.testing.assert_allclose(squares, np.einsum("in,ij,jn->n", d, np.linalg.inv(covariance), d), rtol=1e-6)
+    # One in twenty is above the quantile: a standard error of 0.0015.
+    assert np.mean(squares > chdtri(4.0, 0.05)) == pytest.approx(0.05, abs=0.006)
 
 
 def test_features_in_sight_all_the_time_are_not_compared(estimate: MapEstimate) -> None:

@@ -102,6 +102,22 @@ def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
     assert not len(_hidden_points(made)[0])
 
 
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_an_edge_between_both_faces_of_a_wall_is_on_the_nearer_one(estimate: MapEstimate, turn: float) -> None:
+    # The faces x = 0, measured from x < 0, and x = 4.7, measured from x > 0, and points at x = 1 and 3.7 between both.
+    walls, extents = np.array([(turn, 0.0), (turn, 4.7)]), np.array([(0.0, 100.0), (0.0, 100.0)])
+    c, s = np.cos(turn), np.sin(turn)
+    points = np.array([(x * c - 50.0 * s, x * s + 50.0 * c) for x in (1.0, 3.7)])
+    assert corners_of(walls, extents, np.array([-1.0, 1.0]), points, estimate) == {(0, 0), (1, 1)}
+    # Two faces that are measured from the same side hide both.
+    both = {(0, 0), (0, 1), (1, 0), (1, 1)}
+    assert corners_of(walls, extents, np.array([-1.0, -1.0]), points, estimate) == both
+    # Turned by half a turn it is the same line, with the other side.
+    turned = walls * (1.0, -1.0) + np.array([(np.pi, 0.0), (np.pi, 0.0)])
+    back = np.array([(-100.0, 0.0), (-100.0, 0.0)])
+    assert corners_of(turned, back, np.array([1.0, -1.0]), points, estimate) == {(0, 0), (1, 1)}
+
+
 def test_path_opens_the_wall_that_it_crosses() -> None:
     feet = np.linspace(0.0, 100.0, 101)
     found = _runs(3, feet, np.array([50.0]), 9.0)
