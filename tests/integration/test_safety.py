@@ -156,7 +156,7 @@ def test_suspended_program_stops_robot_and_resuming_keeps_it(folder: Path) -> No
                 assert program.stdout is not None
                 program.stdout.readline()
                 assert is_moving(observer)
-                # SIGSTOP: the program lives, and its connection stays open, but it sends nothing.
+                # SIGSTOP: the process exists and its connection stays open, but it sends nothing.
                 program.send_signal(signal.SIGSTOP)
                 wait_until(lambda: not is_moving(observer))
                 woken_s = observer.truth().time_s

@@ -40,7 +40,7 @@ class Terminal:
         self.process = subprocess.Popen(
             [*_AT_ITS_OWN, os.ttyname(theirs), *command], cwd=folder, env=environment, start_new_session=True
         )
-        # Only the program has the terminal open: its end is then noticed here.
+        # Only the program has the terminal open: reads here fail once it has ended.
         os.close(theirs)
         self._raw = ""
         self._seen = 0

@@ -67,7 +67,7 @@ async def converse(client: Client, first: int, count: int) -> None:
 async def talk_of(server: RunningServer, robot_id: int, count: int) -> None:
     client = await server.open_client()
     assert (await client.ask("connect_robot", robot_id, robot_id)).values == (server.port,)
-    # Motions and questions differ by robot, so that swapped connections would be noticed.
+    # Motions and questions differ by robot, so that swapped connections would be detected.
     await client.ask("vm", 60, 100 * robot_id, -50)
     await converse(client, robot_id * 1000 + 1, count)
 

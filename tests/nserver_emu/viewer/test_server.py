@@ -378,7 +378,7 @@ async def test_a_page_beyond_the_limit_is_refused() -> None:
                 await here.web.ws_connect(f"{here.origin}/ws", params=query, headers=headers)
             assert refusal.value.status == 503
             await page.until(lambda message: message["type"] == "picture")
-        # The place is free once the server has noticed the close.
+        # The place is free once the server has handled the close.
         while here.viewer_server.broadcaster.viewers:
             await asyncio.sleep(0.005)
         async with here.page() as page:

@@ -24,7 +24,7 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        # The program never reads replies or states: it cannot notice that it was stopped.
+        # The program ignores all replies and repeats its command, also after the stop.
         writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
             writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
