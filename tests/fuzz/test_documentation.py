@@ -16,6 +16,7 @@ from fuzz.readers import READERS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "fuzzing.md").read_text(encoding="utf-8")
+# Every line of the page's shell blocks is a command.
 COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
 
 
@@ -63,5 +64,7 @@ def test_reader_runs_the_given_number_of_inputs(blind: bool, tmp_path: Path) -> 
         pytest.importorskip("atheris")
     options = "worlds", "--runs", "500", "--corpus", str(tmp_path)
     output = run_fuzz(*options, "--blind") if blind else run_fuzz(*options, program=("-c", GUIDED))
+    # 500 inputs were counted.
     assert re.findall(r"^(\w+) +([\d,]+) ", output, re.MULTILINE) == [("worlds", "500")]
+    # Only the guided run stores inputs that reached new code.
     assert any((tmp_path / "worlds").glob("*")) != blind

@@ -11,12 +11,14 @@ from fuzz.mutation import after_header, mutate_bytes, mutate_json, word_mutator
 from fuzz.reader import Mutator
 from fuzz.readers import READERS
 
+# Two documents in one input, as recordings have one per line.
 TREE = b'{"a": [1, 2.5, {"b": null}], "c": "x"}\n{"d": true}'
 ALL: list[Mutator] = [mutate_bytes, word_mutator(b"key = "), mutate_json, after_header(2, mutate_bytes)]
 
 
 @pytest.mark.parametrize("mutate", [*ALL, *(reader.mutate for reader in READERS.values())])
 def test_mutation_is_reproducible(mutate: Mutator) -> None:
+    # The same seed must give the same input: a finding can be repeated.
     assert [mutate(TREE, Random(k)) for k in range(30)] == [mutate(TREE, Random(k)) for k in range(30)]
 
 
@@ -38,6 +40,7 @@ def test_json_mostly_remains_valid() -> None:
 
 
 def test_json_includes_deep_nesting() -> None:
+    # Deeper than Python's recursion limit: parsers must refuse it, so it must occur.
     assert any(b"[" * 1000 in mutate_json(TREE, Random(k)) for k in range(300))
 
 

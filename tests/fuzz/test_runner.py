@@ -33,6 +33,7 @@ def _isolated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     runner.FOUND.mkdir(parents=True)
 
 
+# "no" is refused as documented, "bad" is a finding, "slow" uses more processor time than is allowed.
 def read(data: bytes) -> None:
     if data == b"no":
         raise WireError("no")
@@ -66,6 +67,7 @@ def findings() -> list[bytes]:
 
 def test_inputs_and_acceptance_are_counted(tmp_path: Path) -> None:
     status = run(tmp_path, b"yes", b"no")
+    # Half of the inputs are accepted.
     assert (status.executions, status.accepted, findings()) == (1000, 500, [])
     assert status.warm_kb > 0
     assert (status.warm_objects, status.end_objects) == (0, 0)
@@ -74,6 +76,7 @@ def test_inputs_and_acceptance_are_counted(tmp_path: Path) -> None:
 def test_shortest_finding_of_a_kind_is_stored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status = run(tmp_path, b"bad, long", b"bad", b"bad, longer", b"yes")
     assert status.executions == 1000
+    # Of three inputs with the same error the shortest is stored.
     assert findings() == [b"bad"]
     assert "KeyError" in capsys.readouterr().err
 
@@ -83,6 +86,7 @@ def test_slow_input_is_a_finding(
 ) -> None:
     monkeypatch.setattr(runner, "MAX_INPUT_S", 0.01)
     run(tmp_path, b"slow", max_inputs=3)
+    # 20 ms of processor time against a limit of 10 ms; the input is found again and stored once.
     assert findings() == [b"slow"]
     assert "for one input" in capsys.readouterr().err
 
@@ -125,6 +129,7 @@ def test_report_has_findings_exit_status_and_growth(tmp_path: Path) -> None:
     assert list(command._findings(READER, status, 0, time.time() + 60)) == []
     crashed = "\n".join(command._findings(READER, status, 11, time.time() + 60))
     assert "ended with -11" in crashed
+    # Memory that grows beyond the limit between warm-up and end is a finding, too.
     status.end_kb = status.warm_kb + command.MAX_GROWTH_KB + 1
     status.end_objects = command.MAX_GROWTH_OBJECTS + 1
     grown = list(command._findings(READER, status, 0, time.time() + 60))

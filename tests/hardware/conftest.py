@@ -30,9 +30,11 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield Bench(limited(request.param))
         return
     link: Path = tmp_path_factory.mktemp("line") / request.param
+    # In the middle of the room, with noise: as near to a real robot as a simulation can be.
     words = ["--noisy", "--seed", "1", "--robot", request.param, "--start", "45,45", "--speed", str(FASTER),
              "--port", "0", "--serial-link", str(link)]  # fmt: skip
     with Forked("nserver", *words) as daemon:
+        # The second line is printed when the pseudo-terminal is there.
         lines = [daemon.stdout.readline() for _ in range(2)]
         assert lines[1] == f"listening serial {link}\n"
         try:
@@ -48,6 +50,7 @@ def walk(bench: Bench) -> Iterator[Walk]:
     robot = bench.connect()
     try:
         state = robot.stop()
+        # A pressed bumper would stop each test at its first motion.
         assert not state.touching, f"bumpers {state.bumpers} are pressed; move the robot to a free place"
         robot.set_speeds(translation_in_s=SPEED_IN_S)
         walk = Walk(robot, robot.refresh().pose)

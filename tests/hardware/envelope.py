@@ -16,8 +16,10 @@ from nclient import Robot, connect
 from nclient.state import Pose, RobotState
 from nclient.url import split_address
 
+# Far below the maximum of 20 in/s and 45 deg/s; the robot stops 2 s after the last request.
 SPEED_IN_S, TURN_DEG_S, TIMEOUT_S = 5, 30, 2
 LIMITS = {"max_speed_in_s": SPEED_IN_S, "max_turn_deg_s": TURN_DEG_S, "tm_s": TIMEOUT_S, "bumper_stop": 1, "feed": 1}
+# 30 cm in inches.
 REACH_IN = 30 / 2.54
 HOME_IN = 1.0
 """Maximum distance from the start pose at the end of a test."""
@@ -56,6 +58,7 @@ class Walk:
         start_s = states[0].clock_s or 0.0
         while not wait_until(states[-1]):
             states.append(self.robot.refresh())
+            # Beyond the limit, or too late by the robot's own clock: stop first, then fail.
             if self.distance_in(states[-1]) > REACH_IN or (states[-1].clock_s or 0.0) > start_s + most_s:
                 self.robot.stop()
                 pytest.fail(f"stopped {self.distance_in(states[-1]):.1f} in from the start: {states[-1]}")
@@ -74,6 +77,7 @@ class Walk:
         """Drive back to the start along a straight line."""
         state = self.robot.refresh()
         x, y = state.x_in - self.start.x_in, state.y_in - self.start.y_in
+        # The distance along the heading: negative if the robot has driven backward.
         along = x * math.cos(state.steering_rad) + y * math.sin(state.steering_rad)
         self.robot.move(translation_in=-along)
         return self.until_still()

@@ -35,6 +35,7 @@ def test_every_sensor_of_the_model_replies(walk: Walk) -> None:
     robot.read_sonars()
     robot.read_bumpers()
     state = robot.read_velocities()
+    # 0 is a sonar without reading; 6 to 255 in are the range.
     assert all(reading == 0 or 6 <= reading <= 255 for reading in state.sonars_in)
     assert state.bumpers == ()
     assert (state.translation_in_s, state.moving) == (0, False)
@@ -62,6 +63,7 @@ def test_line_has_no_errors(walk: Walk) -> None:
     answers, exchanges = link.answers, link.exchanges
     for _ in range(LINE):
         walk.robot.refresh()
+    # Two of a hundred replies may be lost on a serial line, and one exchange be unfinished.
     assert link.answers - answers >= 0.98 * (link.exchanges - exchanges) - 1
     assert link.exchanges - exchanges >= LINE
     assert link.latency_s(0.5) < 0.1
@@ -94,6 +96,7 @@ def test_drive_there_and_back(walk: Walk) -> None:
     moving = robot.move(translation_in=DISTANCE_IN)
     assert moving.moving
     there = walk.until_still()
+    # By the encoders: a real robot has no ground truth.
     assert walk.distance_in(there) == pytest.approx(DISTANCE_IN, abs=ENCODER_IN)
     assert there.translation_in_s == 0
     robot.move(translation_in=-DISTANCE_IN)
@@ -123,6 +126,7 @@ def test_velocity_is_reported_until_st(walk: Walk) -> None:
 
 
 def test_speed_is_limited(walk: Walk) -> None:
+    # 6 in/s are above the limit of the address.
     walk.robot.drive(translation_in_s=6)
     states = walk.watch(lambda state: walk.distance_in(state) > 1.5)
     assert SLOW_IN_S < max(state.translation_in_s for state in states) <= SPEED_IN_S + 0.2
@@ -154,6 +158,7 @@ def test_robot_stops_without_requests(bench: Bench, walk: Walk) -> None:
     bench.sleep(4.0)
     state = walk.robot.refresh()
     assert (state.translation_in_s, state.moving) == (0, False)
+    # It has moved for some of these 4 s, and stopped 1 s after the last request.
     assert 0.3 < walk.distance_in(state) < DISTANCE_IN
     walk.back()
 

@@ -53,6 +53,7 @@ def test_restored_server_continues_from_last_autosave(tmp_path: Path) -> None:
     with running(*NSERVER, "--noisy", "--seed", "5", *options) as (process, address), connect(address) as robot:
         robot.drive(translation_in_s=4.0, steering_deg_s=20.0)
         before = refresh_many(robot, 20)
+        # Three different times of modification: at least two saves after `before`.
         written, end_s = set[int](), time.monotonic() + END_S
         while len(written) < 3:
             assert time.monotonic() < end_s
@@ -65,6 +66,7 @@ def test_restored_server_continues_from_last_autosave(tmp_path: Path) -> None:
     with running(*NSERVER, "--restore", str(saved)) as (_, address), connect(address) as robot:
         # Connecting requests a state, one step after the saved one.
         first = reading(robot.state)
+    # The restored clock is one of those after `before`, with the same readings.
     assert first in after
     assert before[-1][0] < first[0]
 
@@ -73,6 +75,7 @@ def test_full_disk_stops_files_but_not_the_server(tmp_path: Path) -> None:
     """Files may first grow to 4 KiB, as on a full disk; then the limit is removed."""
     saved, recorded = tmp_path / "saved.json", tmp_path / "run.log"
     words = [*NSERVER, "--save", str(saved), "--autosave", "1", "--record", str(recorded)]
+    # `ulimit -f` limits the size of files: writes fail as on a full disk.
     with running("bash", "-c", f"ulimit -S -f {SMALL_KIB}; exec {shlex.join(words)}") as (process, address):
         assert process.stderr is not None
         with connect(address) as robot:
@@ -81,6 +84,7 @@ def test_full_disk_stops_files_but_not_the_server(tmp_path: Path) -> None:
             time.sleep(1.5)  # saving is retried meanwhile
             refresh_many(robot, 10)
             maximum = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+            # The limit is removed from outside, as if there was room again.
             resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (maximum, maximum))
             lines.append(process.stderr.readline())
             refresh_many(robot, 10)
@@ -88,6 +92,7 @@ def test_full_disk_stops_files_but_not_the_server(tmp_path: Path) -> None:
         rest = process.communicate(timeout=END_S)[1]
         assert process.returncode == 0, rest
     full = "File too large; raise the limit on the size of files (ulimit -f)"
+    # Each log line begins with 24 characters of time.
     assert sorted(line[24:].rstrip() for line in lines[:2]) == [
         f"ERROR {recorded}: no longer recorded; the run goes on, what was written can be read: {full}, "
         "and begin another recording",

@@ -58,11 +58,13 @@ def test_a_dropped_robot_stops(where: str, is_cycle: bool) -> None:
         robot.drive(translation_in_s=1)
         assert is_moving(observer)
         if is_cycle:
+            # A reference to itself: only the garbage collector can free it.
             vars(robot)["itself"] = robot
         del robot
         gc.collect()
         start_s = time.monotonic()
         wait_until(lambda: not is_moving(observer))
+        # Long before the robot's own timeout.
         assert time.monotonic() - start_s < TM_S / 2
 
 
@@ -85,6 +87,7 @@ def test_a_forked_child_leaves_the_connection_alone(where: str) -> None:
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program,
     ):
         assert program.stdout is not None
+        # The child has disconnected its copy; the parent's robot must still move.
         assert program.stdout.readline() == "moving\n"
         assert is_moving(observer)
         program.communicate(timeout=TIMEOUT_S)

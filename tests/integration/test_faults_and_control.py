@@ -22,6 +22,7 @@ from nserver_emu import cli
 from tests.programs.forked import Forked
 
 GS = Call("gs")
+# The first rule acts on the serial line only, the second on all lines.
 PLAN = """
 [[rule]]
 name = "every third reply"
@@ -105,6 +106,7 @@ def test_fault_plan_on_all_lines_with_counts(folder: Path, capsys: pytest.Captur
     planned = bench(folder, "--faults", str(folder / "plan.toml"))
     # Each reply that the plan drops takes the whole time-out.
     with planned as daemon, closing(daemon.on_its_line(0.6)) as line, closing(daemon.over_tcp()) as tcp:
+        # The third and the sixth reply are dropped.
         assert answered(line, GS, 6) == [True, True, False] * 2
         assert answered(tcp, GS, 6) == [True] * 6
         drive = Call("vm", (100, 0, 0))
@@ -113,6 +115,7 @@ def test_fault_plan_on_all_lines_with_counts(folder: Path, capsys: pytest.Captur
         assert counts["serial:1"]["every third reply"] == {"seen": 6, "drop": 2}
         assert counts["serial:1"]["no driving"] == counts["nserver"]["no driving"] == {"seen": 1, "nak": 1}
         status = daemon.ctl("status", capsys=capsys)
+        # Two dropped replies, and vm refused on both lines.
         assert status["faults"] == {"rules": 2, "struck": {"drop": 2, "nak": 2}}
         assert not status["robots"][0]["moving"]
         assert status["lines"] == {"nserver": daemon.listening["nserver"], "serial:1": str(folder / "robot")}
@@ -132,6 +135,7 @@ def test_fault_plan_at_run_time_disconnects_clients(
         assert answered(line, GS, 1) == answered(tcp, GS, 1) == [True]
         daemon.ctl("faults", "set", str(folder / "plan.toml"), capsys=capsys)
         for backend in (line, tcp):
+            # The first gs passes, the second closes the connection, the third finds it closed.
             assert answered(backend, GS, 1) == [True]
             with pytest.raises((ConnectionLost, ReplyTimeout)):
                 backend.execute(GS)
@@ -141,6 +145,7 @@ def test_fault_plan_at_run_time_disconnects_clients(
             with closing(again()) as backend:
                 assert answered(backend, GS, 3) == [True] * 3
         counts = daemon.ctl("faults", "counts", capsys=capsys)["counts"]
+        # Two before the close and three after the reconnection; the count outlives the connection.
         assert counts == {name: {"rule 1": {"seen": 5, "hang_up": 1}} for name in ("nserver", "serial:1")}
 
 
@@ -153,6 +158,7 @@ def test_control_of_time_and_its_errors(folder: Path, capsys: pytest.CaptureFixt
         saved = folder / "now.json"
         assert daemon.ctl("save", str(saved), capsys=capsys) == {"saved": str(saved)}
         assert saved.exists()
+        # A plan for a line that does not exist changes nothing.
         (folder / "bad.toml").write_text("[[rule]]\ndo = 'drop'\nline = 'serial:7'")
         assert cli.main(["ctl", "--control", daemon.control, "faults", "set", str(folder / "bad.toml")]) == 1
         assert "there is no serial:7; the lines are nserver, serial:1" in capsys.readouterr().err
@@ -190,6 +196,7 @@ def test_faults_between_gateway_and_robot(folder: Path, capsys: pytest.CaptureFi
                 closing(gateway.over_tcp()) as tcp:  # fmt: skip
             assert gateway.ctl("status", capsys=capsys)["lines"]["real:1"] == address
             move = Call("pr", (100, 0, 0))
+            # The gateway's own plan: the request is answered before it reaches the robot.
             assert answered(tcp, move, 1) == [False]
             assert not robot.ctl("status", capsys=capsys)["robots"][0]["moving"]
             counts = gateway.ctl("faults", "clear", capsys=capsys)["counts"]

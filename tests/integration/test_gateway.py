@@ -72,7 +72,9 @@ def test_gateway_drives_robot_and_shadow_follows(tmp_path: Path) -> None:
             driver.set_speeds(translation_in_s=10)
             driver.move(translation_in=12)
             state = driver.wait_until_still(timeout_s=20)
+            # The gateway's state and the ground truth of the robot agree: 12 in.
             assert (state.x_in, observer.truth().x_in) == (12.0, 12.0)
+            # The robot drives when its client disconnects, so that the stop is visible.
             driver.drive(translation_in_s=5)
         wait_until(lambda: not observer.refresh().moving)
         gateway.end()
@@ -90,6 +92,7 @@ def test_lost_robot_is_error_6_until_it_returns() -> None:
         gateway = again.enter_context(nserver("--port", "0", "--real", robot.address))
         with connect(gateway.address) as driver, connect(gateway.address) as watcher:
             driver.drive(translation_in_s=5)
+            # SIGKILL: the robot's server cannot send anything before its end.
             robot.end(signal.SIGKILL)
             wait_until(lambda: error_code(watcher) == 6)
             assert error_code(driver) == 6
@@ -113,12 +116,15 @@ def test_gateway_limits_speed_and_reconnects_to_line(tmp_path: Path) -> None:
         gateway = again.enter_context(nserver(*gateway_words, "--shadow-report", str(report)))
         with connect(gateway.address) as driver, connect(gateway.address) as watcher:
             with connect(robot.address) as observer:
+                # 12 in/s are limited to 8: 80 tenths.
                 assert driver.move(translation_in=12).raw[38] == 80
                 assert driver.wait_until_still(timeout_s=20).x_in == 12.0
                 assert observer.truth().x_in == 12.0
                 assert driver.refresh().bumpers == ()
                 assert driver.refresh().raw[33] == 0
+                # A N150's compass shows the turret, which has not moved.
                 assert watcher.read_compass().raw[43] == 0
+                # The client's own timeout of 1 s applies at the robot; the gateway must not feed it meanwhile.
                 driver.set_timeout(1)
                 driver.drive(translation_in_s=2)
                 time.sleep(2.5)
@@ -145,6 +151,7 @@ def test_gateway_passes_stamps_and_laser_of_n200() -> None:
             with connect(f"{gateway.address}?model=n200") as driver, connect(f"{robot.address}?model=n200") as observer:
                 driver.position_data(sonars=True)
                 driver.set_position(x_in=30.0, y_in=-40.0)
+                # Stamps of the robot come through: their pose is the new one.
                 wait_until(lambda: {stamp.x for stamp in driver.refresh().raw_stamps.values()} == {300})
                 laser, wanted = driver.read_laser().laser, observer.read_laser().laser
                 assert laser[0] == wanted[0] > 100
@@ -163,5 +170,7 @@ def test_killed_gateway_stops_its_robot() -> None:
         with contextlib.suppress(ConnectionLost), connect(gateway.address) as driver:
             driver.drive(translation_in_s=2)
             assert observer.refresh().moving
+            # SIGKILL: the gateway cannot send a stop. Its connection to the robot's server closes, which stops the
+            # robot.
             gateway.end(signal.SIGKILL)
         wait_until(lambda: not observer.refresh().moving)

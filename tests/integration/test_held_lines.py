@@ -21,6 +21,7 @@ from tests.programs import forked, ports
 from tests.programs.forked import Forked
 
 GS = codec.encode_tcp_request(Call("gs"))
+# Stands for a reply of the server.
 STATE = b"\x10\x00\x11\x22"
 
 
@@ -89,6 +90,7 @@ def test_silent_bridge_clients_do_not_block_stop(
             connect(f"nserver://{far}") as driver,
             contextlib.ExitStack() as scanner,
         ):
+            # Clients that connect and send nothing, as a port scanner does.
             silent = [scanner.enter_context(called(near)) for _ in range(12)]
             driver.drive(translation_in_s=2)
             brake = f"robotd://{near}?model=n150" if own_line else f"nserver://{near}/1"
@@ -101,6 +103,7 @@ def test_silent_bridge_clients_do_not_block_stop(
 def test_active_client_holds_line_until_it_closes() -> None:
     with a_bridge("1.5") as (near, far), called(near) as active, called(near) as waiting_client:
         end = next_end(far)
+        # Longer than the limit of 1.5 s, in which the active client sends all the time.
         ends = Deadline.after(4)
         while ends.remaining():
             active.sendall(GS)
@@ -109,12 +112,14 @@ def test_active_client_holds_line_until_it_closes() -> None:
             end.sendall(STATE)
             assert received(active, len(STATE)) == STATE
             time.sleep(0.05)
+        # The waiting client has received nothing so far.
         waiting_client.settimeout(0.05)
         with pytest.raises(TimeoutError):
             waiting_client.recv(1)
         active.close()
         assert is_closed(end)
         end.close()
+        # Its bytes were stored and are passed on when its turn comes.
         with next_end(far) as end:
             assert received(end, 8) == b"another,"
 
@@ -126,6 +131,7 @@ def test_client_waiting_for_reply_holds_line() -> None:
         waiting.sendall(ws)
         assert received(end, len(ws)) == ws
         waiting_client.sendall(b"another")
+        # Five times the limit of 0.3 s, but with a reply outstanding.
         waiting.settimeout(1.5)
         with pytest.raises(TimeoutError):
             waiting.recv(1)
@@ -133,6 +139,7 @@ def test_client_waiting_for_reply_holds_line() -> None:
         answer = codec.encode_tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
         end.sendall(answer)
         assert received(waiting, len(answer)) == answer
+        # After its reply it is silent, and another client waits.
         assert is_closed(waiting)
         end.close()
         with next_end(far) as end:
@@ -146,6 +153,7 @@ def test_single_silent_client_stays_connected() -> None:
         called(near),  # also silent
         next_end(far) as end,
     ):
+        # No other client has sent anything, so the line stays assigned to this one.
         alone.settimeout(1)
         with pytest.raises(TimeoutError):
             alone.recv(1)

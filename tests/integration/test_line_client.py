@@ -76,6 +76,7 @@ def test_capi_opens_a_line(tmp_path: Path) -> None:
         try:
             assert capi.connect_robot(1, capi.MODEL_N150, str(link), 38400) == capi.TRUE
             assert capi.gs() == capi.TRUE
+            # The rest value of the bumper bits, as old programs see it.
             assert capi.State[33] == 0xF00000
             assert capi.connect_robot(1, capi.MODEL_N150, str(tmp_path / "none"), 38400) == capi.FALSE
         finally:
@@ -107,6 +108,7 @@ def test_client_reconnects_to_restarted_server(how: signal.Signals, tmp_path: Pa
         with run_server("--serial-link", str(link)):
             count_losses(robot)
             assert robot.link is not None
+            # One loss and one reconnection, however many calls failed in between.
             assert (robot.link.losses, robot.link.reconnects) == (1, 1)
 
 
@@ -133,6 +135,7 @@ def test_keep_alive_while_sleeping_and_stop_after_kill(tmp_path: Path) -> None:
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
             assert program.stdout is not None
             assert program.stdout.readline() == "driving\n"
+            # Longer than the timeout of 2 s: only the keep-alive thread has sent anything.
             time.sleep(3.0)
             assert observer.truth().x_in > 0.5 * 2.5
             program.kill()
@@ -153,6 +156,7 @@ def test_next_connection_finds_robot_stopped(tmp_path: Path) -> None:
         for _ in range(3):
             first = connect(address)
             first.drive(turret_deg_s=10)
+            # The port is closed without a stop, as by a program that is killed.
             first._backend.close()
             time.sleep(CLOSE_NOTICED_S)
             with connect(address) as second:

@@ -24,6 +24,7 @@ from tests.programs import forked
 from tests.programs.forked import Forked
 from tests.waiting import wait_until
 
+# Types of frames on the serial line (docs/protocol.md).
 VM, GS, ST, GET_RV, GET_RC, WS, CT = 5, 7, 9, 22, 21, 31, 6
 TIMEOUT_S = 20.0
 NO_SENSORS = bytes((0, 0, 0, 0, 0xFE, 0, 0))
@@ -44,9 +45,11 @@ class OldHost:
     def ask(self, kind: int, data: bytes = b"") -> bytes:
         """Send a request and return the data of its reply."""
         self._flush()
+        # Start 01, length of type, data and checksum (low byte first), type, data.
         body = struct.pack("<BHB", 1, len(data) + 2, kind) + data
         os.write(self._fd, body + bytes((sum(body) & 255, 0x5C)))
         head = self.read(3)
+        # Length counts the type and the checksum; the end byte comes after it.
         rest = self.read(int.from_bytes(head[1:], "little") + 1)
         assert (head[0], rest[0], rest[-1]) == (1, kind, 0x5C)
         assert sum(head + rest[:-2]) & 255 == rest[-2]
@@ -63,6 +66,7 @@ class OldHost:
 
     def drive(self, *velocities: int) -> None:
         """Send vm, in tenths."""
+        # Sign-magnitude: bit 15 is the sign.
         self.ask(VM, struct.pack("<3H", *(0x8000 - v if v < 0 else v for v in velocities)))
 
     def velocities(self) -> tuple[int, ...]:
@@ -112,12 +116,14 @@ def test_lines_and_nserver_share_one_robot(path: Path) -> None:
         assert Path(link) == path
         address = f"nserver://{port}/1"
         with at_link(path) as host, at_port(modem.rpartition(":")[2]) as other, connect(address) as robot:
+            # Bumper bytes at rest: f0 00 00.
             assert host.ask(GS)[16:19] == b"\xf0\x00\x00"
             host.drive(0, -50, 20)
             assert other.velocities() == (0, -50, 20)
             assert robot.refresh().raw[38:41] == (0, -50, 20)
             other.ask(ST)
             assert host.velocities() == (0, 0, 0)
+            # The steering turns when the host closes the line.
             host.drive(0, 450, 0)
         wait_until(lambda: still(address))
     assert not os.path.lexists(path)
@@ -137,8 +143,10 @@ def test_each_robot_has_its_own_line_and_mask(tmp_path: Path) -> None:
         with contextlib.ExitStack() as hosts:
             first, second, again = (hosts.enter_context(at_link(link)) for link in links)
             over_tcp = hosts.enter_context(at_port(modem.rpartition(":")[2]))
+            # The handshake of a N200: everything selected, laser mode 51 (33 hexadecimal).
             assert over_tcp.read(11) == bytes.fromhex("ffffffffff010133000000")
             assert len(first.ask(GS)) == 42
+            # Seven numbers of 2 bytes; motors (1), clock (4) and voltages (2) are always sent.
             assert len(second.ask(CT, NO_SENSORS)) == 14 + 7
             # All lines of a robot share its mask.
             assert len(over_tcp.ask(GS)) == 14 + 7
@@ -186,10 +194,13 @@ def test_second_server_does_not_replace_the_link(path: Path) -> None:
 
 def test_lockstep_and_pause_on_a_line(path: Path) -> None:
     with nserver("--serial-link", str(path), "--lockstep", "0.1"), at_link(path) as host:
+        # Bytes 36 to 39 are the clock: one step of 0.1 s per request.
         clocks = [int.from_bytes(host.ask(GS)[36:40], "little") for _ in range(4)]
         assert clocks == [100, 200, 300, 400]
         host.drive(0, 100, 0)
+        # ws with a timeout of 1 s; bytes 27 to 32 are the velocities.
         assert host.ask(WS, bytes((1, 1, 1, 1)))[27:33] == bytes((0, 0, 100, 0, 0, 0))
+        # vm at 0.5 s, ws at 0.6 s, its timeout at 1.6 s, this gs at 1.7 s.
         assert int.from_bytes(host.ask(GS)[36:40], "little") == 1700
 
 

@@ -38,6 +38,7 @@ class Program:
     """A process whose output lines are read with a time-out."""
 
     def __init__(self, process: Forked) -> None:
+        # Threads read the pipes, so that a program that prints nothing cannot block the test.
         self.out, self.err = (self._lines(pipe) for pipe in (process.stdout, process.stderr))
 
     def rest(self) -> list[str]:
@@ -82,6 +83,7 @@ def program(
 
 def drive(robot: Robot) -> list[tuple[int, ...]]:
     with robot:
+        # Motions and readings with noise: a replay that is out of step would differ.
         seen = [robot.drive(translation_in_s=6), robot.wait_until_still(1), *[robot.refresh() for _ in range(5)]]
         return [state.raw for state in seen]
 
@@ -92,6 +94,7 @@ def test_recording_is_played_to_one_client_after_another(tmp_path: Path) -> None
     with program("nomad", "play", str(path), "--listen", "0", ends=1) as (place, process):
         for _ in range(2):
             assert drive(connect(f"nserver://{place}/1")) == seen
+        # Another request than the recorded one ends the connection, and the program explains which.
         robot = connect(f"nserver://{place}/1")
         with pytest.raises(ConnectionLost):
             robot.move(translation_in=1)
@@ -115,6 +118,7 @@ def test_public_port_gives_warning(tmp_path: Path) -> None:
 
 def serial_recording(path: Path, answer_after_s: float) -> None:
     header = {"format": "nomad recording", "version": 1, "wire": "serial", "model": "n150"}
+    # Half of the reply after half of the time, then the rest; the last line of the file is cut off.
     lines = [header, {"t": 1.0, "dir": "out", "bytes": GS.hex()},
              {"t": 1.0 + answer_after_s / 2, "dir": "in", "bytes": STATE[:20].hex()},
              {"t": 1.0 + answer_after_s, "dir": "in", "bytes": STATE[20:].hex()}]
@@ -144,6 +148,7 @@ def test_recorded_line_is_played_with_recorded_timing(tmp_path: Path) -> None:
         start_s = time.monotonic()
         os.write(fd, GS)
         assert read(fd, len(STATE)) == STATE
+        # The recorded delay is respected.
         assert 0.4 <= time.monotonic() - start_s < 5
         os.write(fd, GS)
         assert "cut short" in process.err()
@@ -163,12 +168,14 @@ def test_bridge_records_and_prints(tmp_path: Path) -> None:
         while sum("> disconnect_robot" in line for line in shown) < 2:
             shown.append(process.out())
         assert "> connect_robot 1" in shown[0]
+        # The recording is written after the line on the screen.
         while path.read_text().count('"disconnect_robot"') < 2:  # printed before it is written
             time.sleep(0.01)
     recording = read_recording(path)
     assert recording.connections() == ("1", "2")
     calls = [found["call"] for entry in recording.entries if entry.kind == "out" for found in entry.decoded]
     once = ["connect_robot", "ct", "vm", "ws", *["gs"] * 5, "st", "disconnect_robot"]
+    # Both clients sent the same; keep-alive settings (conf_tm) depend on time.
     assert [call for call in calls if call != "conf_tm"] == once * 2
 
 
@@ -179,6 +186,7 @@ def test_bridge_reconnects_to_its_server(tmp_path: Path) -> None:
         with program("nomad", "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
             # Stays open, as in old programs: the bridge reconnects for it.
             fd = open_pty(link)
+            # The server closes after each exchange, as if it was restarted.
             for word in (b"one", b"two"):
                 end, _ = far.accept()
                 with end:
@@ -203,6 +211,7 @@ def test_bridge_without_clients_and_without_server() -> None:
             assert "has disconnected" in process.err()
             far.close()
             with socket.create_connection((host, int(port))) as client:
+                # The server is gone: the client's connection is closed, and the reason printed.
                 client.settimeout(10)
                 assert client.recv(10) == b""
             assert "127.0.0.1" in process.err()
@@ -235,5 +244,6 @@ def test_lines_recorded_at_both_ends_replay(tmp_path: Path) -> None:
         for number, address in enumerate((f"robotd://{robotd}?model=n200", f"serial://{link}?model=n200")):
             path = tmp_path / f"{number}.log"
             seen = drive(connect(f"{address}&record={path}"))
+            # The replayed line must give the same states as the live one did.
             assert drive(connect(f"replay:{path}")) == seen
     assert nserver_cli.main(["--replay", str(whole)]) == 0

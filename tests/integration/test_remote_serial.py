@@ -56,6 +56,7 @@ def is_open(port: int) -> bool:
 @pytest.mark.parametrize(("scheme", "accepter"), [("rfc2217", "telnet(rfc2217),"), ("socket", "")])
 def test_drive_through_ser2net(line: Path, tmp_path: Path, scheme: str, accepter: str) -> None:
     port = free_port()
+    # A raw port or one with RFC 2217, which also carries the baud rate.
     config = (f"connection: &robot\n  accepter: {accepter}tcp,127.0.0.1,{port}\n"
               f"  connector: serialdev,{line},38400n81,local\n  options:\n    mdns: false\n")
     (tmp_path / "ser2net.yaml").write_text(f"%YAML 1.1\n---\n{config}")
@@ -68,6 +69,7 @@ def test_drive_through_ser2net(line: Path, tmp_path: Path, scheme: str, accepter
                 robot.move(translation_in=2)
                 assert robot.wait_until_still(20).x_in == pytest.approx(before + 2, abs=0.3)
                 assert robot.link is not None
+                # Every exchange had its answer: no byte was lost on the detour.
                 assert robot.link.answers == robot.link.exchanges
             if scheme == "rfc2217":
                 # The rate of the far port is set, too: at another one than the robot's there is no answer.
@@ -98,6 +100,7 @@ class Talker:
         pass
 
     def receive(self, _: Deadline) -> bytes:
+        # The begin of a GPS message: bytes, but no frame of a robot.
         return b"$GPGGA"
 
     def close(self) -> None:
@@ -117,6 +120,7 @@ def test_search_leaves_ports_of_other_programs_alone(line: Path, monkeypatch: py
         raise AssertionError("opened")
 
     with line.open("rb", buffering=0):
+        # A port that a program uses already must not be opened: on some systems that resets the device.
         monkeypatch.setattr(serial_port, "open_port", fail)
         finding, _ = doctor.search_port(str(line))
     assert "in use by this very program" in finding.seen
@@ -171,6 +175,7 @@ def test_unread_bytes_are_bounded(
     assert len(stream.receive(Deadline.after(1))) == 1000
     with pytest.raises(ConnectionLost, match="gone"):
         stream.receive(Deadline.after(1))
+    # The socket inside of pyserial, to see that it is closed as well.
     link = vars(stream._port)["_socket"]
     stream.close()
     assert link.fileno() == -1
@@ -183,11 +188,13 @@ def test_server_that_reads_nothing_is_lost(
     stream = serial_port.PortableSerialStream(silent_server[0])
     far, _ = silent_server[1].accept()
     with far, pytest.raises(ConnectionLost, match="Write timeout"):
+        # More than all buffers hold: the send must end with an error, not wait forever.
         stream.send(bytes(50_000_000))
     stream.close()
 
 
 def test_other_baud_rates_answer_nonsense(line: Path) -> None:
+    # 9600 baud: the pseudo-terminal answers with bytes that are no frames.
     assert doctor.ask_port(str(line), 9600) == (None, True)
     model, _ = doctor.ask_port(str(line), 38400)
     assert model is not None

@@ -91,13 +91,16 @@ def test_client_survives_killed_servers_and_hangups(daemon: Daemon, request: pyt
             daemon.pull()
             expect_loss(robot)
             after_s["pulled"].append(reconnect_time_s(robot))
+            # The pseudo-terminal was replaced, the robot is the same.
             assert robot.state.x_in == SET_IN
             daemon.kill()
             expect_loss(robot)
+            # Nothing is there yet: further calls fail at once, without another loss.
             with pytest.raises(ConnectionLost, match="yet"):
                 robot.refresh()
             daemon.start()
             after_s["killed"].append(reconnect_time_s(robot))
+            # A new robot: its encoders are at 0.
             assert robot.state.x_in == 0
         assert robot.link is not None
         assert (robot.link.losses, robot.link.reconnects) == (2 * times, 2 * times)

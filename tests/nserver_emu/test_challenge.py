@@ -50,6 +50,8 @@ def referee() -> Referee:
 
 @pytest.mark.parametrize(
     ("error_in", "time_s", "bumps", "points"),
+    # 50 points for the fraction of the distance covered, 50 for precision, 0 from 24 in on; minus 0.1 per second and
+    # 5 per contact.
     [
         (0.0, 0.0, 0, 100.0),
         (100.0, 0.0, 0, 0.0),
@@ -83,6 +85,7 @@ def test_referee_refuses_the_truth(referee: Referee) -> None:
 
 def test_referee_counts_contacts_that_begin(referee: Referee) -> None:
     robot = referee.simulation.robots[1]
+    # Backward into the wall, forward, backward again: two contacts, each counted once.
     for speed in (-20.0, 20.0, -20.0):
         robot.set_velocities(speed, 0.0, 0.0)
         for _ in range(30 if speed < 0 else 10):
@@ -92,6 +95,7 @@ def test_referee_counts_contacts_that_begin(referee: Referee) -> None:
 
 def test_time_ends_at_the_limit(referee: Referee) -> None:
     session = InProcess(referee)
+    # 15 s are offered, the limit is 10.
     for _ in range(150):
         referee.pass_time(0.1)
     assert referee.over.is_set()
@@ -114,6 +118,7 @@ def test_standing_and_failing_programs_have_a_score(tmp_path: Path, capsys: pyte
     standing = play(tmp_path, capsys, "")
     assert (standing["score"], standing["runs"][0]["ended"]) == (0.0, "finished")
     failing = play(tmp_path, capsys, "raise SystemExit(7)")
+    # A program that fails scores like one that stands.
     assert (failing["score"], failing["runs"][0]["ended"]) == (0.0, "exit code 7")
 
 

@@ -33,6 +33,7 @@ def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
+        # The first start touches the wall at x = -12 in, the second is outside of the room.
         (["--start", "-8,0,0,0"], "touches the outline"),
         (["--start", "500,0,0,0"], "outside"),
         (["--start=500,0,0,0"], "outside"),
@@ -62,6 +63,7 @@ def test_wrong_usage_exits_with_2(
     [["--speed", "0"], ["--speed", "fast"], ["--port", "70000"], ["--seed", "-1"], ["--robot", "r2d2"], ["--bind", ""]],
 )
 def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    # Each is refused by the parser, before anything is opened.
     with pytest.raises(SystemExit) as stop:
         cli.main(argv)
     assert stop.value.code == 2
@@ -85,6 +87,7 @@ def test_a_port_in_use_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_foreign_address_is_not_blamed_on_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+    # 192.0.2.1 is reserved for documentation: no machine has it.
     assert cli.main(["--port", "0", "--bind", "192.0.2.1"]) == 1
     output = capsys.readouterr().err
     assert "cannot listen on 192.0.2.1:0" in output
@@ -127,6 +130,7 @@ def test_the_program_prints_its_address_serves_and_stops(ending: signal.Signals)
         assert line
         with socket.create_connection(("127.0.0.1", int(line[1])), timeout=10) as client:
             client.sendall(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
+            # Reply to CONNECT: type 0052, one word, the port.
             assert client.recv(8) == bytes((0, 0x52, 0, 1)) + int(line[1]).to_bytes(4, "big")
         program.send_signal(ending)
         out, err = program.communicate(timeout=20)
@@ -212,11 +216,13 @@ def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.Cap
     with Forked("nserver", *words) as daemon:
         port = int(daemon.stdout.readline().rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=10) as client:
+            # CONNECT is a request like the others: four replies in total.
             for call in (Call("connect_robot", (1, 1)), Call("vm", (100, 0, 0)), Call("gs"), Call("quit_server")):
                 client.sendall(codec.encode_tcp_request(call))
                 client.recv(4096)
     assert cli.main(["--replay", str(path)]) == 0
     assert re.fullmatch(r"4 answers, \d+ bytes as recorded\n", capsys.readouterr().out)
+    # Another seed: the first reply with noise differs; the cut line at the end is accepted.
     path.write_text(path.read_text().replace('"seed":0', '"seed":1', 1) + '{"t":')
     assert cli.main(["--replay", str(path)]) == 1
     output = capsys.readouterr()
@@ -249,4 +255,5 @@ def test_pages_and_bridges_end_before_the_gateway(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Daemon, "serve", serve)
     assert cli.main(["--port", "0"]) == 0
     assert len(ended) == 3
+    # The gateway must be the last to end: what ends before it may still send stops to real robots.
     assert ended[-1] == "run_gateway"

@@ -32,6 +32,7 @@ class Program:
 
     def _exchange(self, data: bytes) -> bytes:
         self._socket.sendall(data)
+        # A header of four bytes, type and number of words, then the words.
         head = self._socket.recv(4, socket.MSG_WAITALL)
         return head + self._socket.recv(4 * int.from_bytes(head[2:], "big"), socket.MSG_WAITALL)
 
@@ -77,6 +78,7 @@ def test_help_by_its_first_letters(word: str, capsys: pytest.CaptureFixture[str]
      ("--port", "--port"), ("-5,3", "-5,3"), ("-noisier", "-noisier"), ("-", "-"), ("noisy", "noisy")],
 )  # fmt: skip
 def test_options_of_the_original_by_their_first_letters(words: str, long: str) -> None:
+    # A number with a minus sign, unknown words and words without one are left as they are.
     assert as_long_option(words) == long
 
 
@@ -89,6 +91,7 @@ def test_the_old_style_with_both_setup_files(tmp_path: Path) -> None:
     world.write_text(f"[server]\nport = {port}\n")
     with program("-n", str(robot), str(world)) as started:
         assert started.port == port
+        # An arm: the robot is a N200. A velocity between 0 and 10 in/s: noise, hence ramps.
         assert started.client.ask("arm_mv", 0, 0, 0, 0).kind == "special"
         assert 0 < started.client.ask("vm", 100, 0, 0).slots[38] < 100
         assert "[laser] offset of the setup file is read and has no effect" in started.end()
@@ -118,6 +121,7 @@ def test_wrong_usage_of_files_and_time_exits_2(words: list[str]) -> None:
 def test_a_paused_start_that_clients_may_step() -> None:
     with program("--port", "0", "--paused", "--allow-control") as started:
         assert started.client.ask("gs").slots[0] == 0
+        # Verb 4 steps by 250 ms.
         assert started.client.ask("sim_control", 4, 250).values == (1, 250, 10, 1)
     with program("--port", "0", "--paused") as started:
         assert started.client.ask("sim_control", 2, 0).values == (5,)
@@ -149,6 +153,7 @@ def test_a_saved_simulation_is_restored_in_another_process(tmp_path: Path) -> No
         started.end()
     with program(*time, "--restore", str(saved), "--save", str(later)) as started:
         first = [started.client.ask("gs") for _ in range(30)]
+        # SIGUSR1 saves at once, here after 21 + 30 requests.
         started.process.send_signal(signal.SIGUSR1)
         while not later.exists():
             started.client.ask("sim_truth")
@@ -157,7 +162,9 @@ def test_a_saved_simulation_is_restored_in_another_process(tmp_path: Path) -> No
     with program(*time, "--restore", str(saved)) as started:
         assert [started.client.ask("gs") for _ in range(30)] == first
     with program(*time, "--restore", str(later)) as started:
+        # Saved after 5.1 s, plus the step of this request.
         assert started.client.ask("gs").clock == 5200
+    # vm and 20 times gs took 2.1 s.
     assert first[0].clock == 2200
     assert first[0].slots[38] > 0
 

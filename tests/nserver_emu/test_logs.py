@@ -65,6 +65,7 @@ def test_a_json_line_has_message_and_template(capsys: pytest.CaptureFixture[str]
     with logs.logging_to_stderr(options("--log-format", "json")):
         logging.getLogger("package").info("hidden")
         logging.getLogger("package").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
+    # One line, although the message has two.
     (line,) = capsys.readouterr().err.splitlines()
     fields = json.loads(line)
     at = datetime.fromisoformat(fields.pop("time"))
@@ -123,6 +124,7 @@ def test_an_embedding_programs_logging_is_left_alone(capsys: pytest.CaptureFixtu
 
 @pytest.mark.long
 def test_every_line_of_a_daemon_is_an_object() -> None:
+    # --paused without --allow-control makes the daemon log a warning.
     with Forked("nserver", "--port", "0", "--paused", "--log-format", "json", "-v", stderr=True) as daemon:
         with connect(f"nserver://{daemon.stdout.readline().split()[-1]}/1?tm_s=0"):
             pass
@@ -151,6 +153,7 @@ def test_lost_log_lines_are_counted_and_reported(capsys: pytest.CaptureFixture[s
     as_a_process_begins().addHandler(handler)
     room = logging.getLogger("package")
     for number in range(6):
+        # The disk is full for three of six lines.
         disk.full = number in (1, 2, 3)
         room.warning("line %d", number)
     assert disk.getvalue().splitlines() == [
@@ -178,6 +181,7 @@ def test_unread_stderr_blocks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "STOP_S", 0.1)
     as_a_process_begins()
     with logs.logging_to_stderr(options()):
+        # More lines than the queue holds; the writer's thread waits in the first one.
         for number in range(logs.MAX_QUEUED + 102):
             logging.getLogger("package").warning("line %d", number)
     assert pipe.getvalue() == ""
@@ -191,6 +195,7 @@ def test_dropped_lines_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     room = logging.getLogger("package")
     for number in range(5):
         room.warning("line %d", number)
+    # Two are read, so that there is room for the report and one more line.
     first = handler.lines.get_nowait(), handler.lines.get_nowait()
     room.warning("line 5")
     rest = [handler.lines.get_nowait() for _ in range(handler.lines.qsize())]
@@ -212,6 +217,7 @@ def test_repeated_lines_are_counted_per_address() -> None:
     assert written("10.0.0.2", "%s: refused: %s") == logs.MAX_REPEATS
     assert limiter.summaries() == []
     now_s = logs.REPEAT_INTERVAL_S
+    # 1000 of each kind, of which MAX_REPEATS = 10 were written.
     assert [record.getMessage() for record in limiter.summaries()] == [
         "10.0.0.1: 990 more lines in 60 s like '%s: refused: %s'",
         "10.0.0.1: 990 more lines in 60 s like '%s: closed: %s'",
@@ -224,6 +230,7 @@ def test_repeated_lines_are_counted_per_address() -> None:
 def test_many_addresses_share_one_count() -> None:
     limiter = logs.RepeatLimiter()
     records = [logging.makeLogRecord({"msg": "bad", "address": f"{n}"}) for n in range(10 * logs.MAX_KINDS)]
+    # Beyond MAX_KINDS addresses the rest share one allowance.
     assert sum(map(limiter, records)) == logs.MAX_KINDS + logs.MAX_REPEATS
 
 
@@ -232,6 +239,7 @@ def test_a_daemon_with_unread_stderr_serves_and_ends() -> None:
     """Its log is longer than a pipe holds."""
     with Forked("nserver", "--port", "0", "-vv", stderr=True) as daemon:
         assert daemon.stderr is not None
+        # The smallest pipe: one page.
         fcntl.fcntl(daemon.stderr.fileno(), fcntl.F_SETPIPE_SZ, 4096)
         host, _, port = daemon.stdout.readline().split()[-1].partition(":")
         for _ in range(300):

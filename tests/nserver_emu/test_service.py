@@ -37,6 +37,7 @@ def manager(place: str) -> Iterator[socket.socket]:
 
 @pytest.mark.long
 def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str) -> None:
+    # A watchdog of 200 ms, so that three of its messages come soon.
     environment = {**os.environ, "NOTIFY_SOCKET": place, "WATCHDOG_USEC": "200000"}
     environment.pop("WATCHDOG_PID", None)
     with Forked("nserver", "--port", "0", environment=environment) as process:
@@ -51,6 +52,7 @@ def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str
 
 
 @pytest.mark.parametrize(("environment", "feed_s"), [
+    # Half of the interval is the usual rate; nothing without socket, for another process, or with a bad number.
     ({}, 0.0), ({"WATCHDOG_USEC": "1000000"}, 0.0), ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "1000000"}, 0.5),
     ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}, 0.0),
     ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "soon"}, 0.0),
@@ -68,6 +70,7 @@ async def test_an_absent_service_manager_is_notified_later(
 ) -> None:
     place = str(tmp_path / "absent")
     async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | FED)):
+        # The first messages are sent while nothing is bound at the path.
         await asyncio.sleep(0.02)
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
             listener.setblocking(False)
@@ -88,11 +91,13 @@ async def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as crowd, contextlib.suppress(BlockingIOError):
         crowd.setblocking(False)
         while True:
+            # The queue of the socket is filled until it blocks.
             crowd.sendto(b"STATUS=much to say", place.replace("@", "\0", 1) if place[0] == "@" else place)
 
     receive = partial(asyncio.get_running_loop().sock_recv, manager, 100)
     async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | environment)):
         await asyncio.sleep(0.02)
+        # First what was in the queue, then nothing may be missing.
         while (message := await receive()).startswith(b"STATUS="):
             pass
         assert message.split() == ([b"READY=1", b"WATCHDOG=1"] if environment else [b"READY=1"])
@@ -106,6 +111,7 @@ def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:
     unit.read(UNIT)
     cli = dict(unit["Service"])
     assert (cli["Type"], cli["WatchdogSec"], cli["NoNewPrivileges"]) == ("notify", "30", "yes")
+    # systemd would replace these variables; the resulting command must be valid.
     options = shlex.split(cli["Environment"])[0].partition("=")[2]
     command = cli["ExecStart"].replace("$NSERVER_OPTIONS", options)
     for folder in ("${STATE_DIRECTORY}", "${RUNTIME_DIRECTORY}"):

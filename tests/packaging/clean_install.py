@@ -125,6 +125,7 @@ class Environment:
                     continue
                 linked.add(distribution.name)
                 waiting.append(distribution)
+                # Top folders and modules of the package, without scripts and caches.
                 for name in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
                     (packages / name).symlink_to(str(distribution.locate_file(name)))
         self._pip("check")
@@ -170,6 +171,7 @@ def build_distribution(folder: Path) -> tuple[Path, Path]:
     """
     tree = ROOT
     for name in tracked_files():
+        # Only tracked files: a build must not depend on leftovers of the working tree.
         tree = folder / "tree"
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
@@ -202,6 +204,7 @@ def find_failures(environment: Environment, extras: Iterable[str], checks: Itera
         else:
             done = environment.run(check.words)
             output = done.stdout + done.stderr
+            # A traceback is a failure even if the output is right.
             if not re.search(check.prints, output, re.DOTALL) or "Traceback" in output:
                 yield f"{' '.join(check.words)}: {check.prints!r} is not in: {output}"
 
@@ -209,6 +212,7 @@ def find_failures(environment: Environment, extras: Iterable[str], checks: Itera
 def _check_missing_extra(environment: Environment, check: Check) -> Iterator[str]:
     """Check that the command fails with an error that names the missing extra."""
     done = environment.run(check.words)
+    # The error must name the command that installs the extra.
     clear = f"install -e '.[{check.extra}]'" in done.stderr and "Traceback" not in done.stderr
     if not clear or done.returncode != 2:
         yield f"{' '.join(check.words)}: the extra {check.extra} is not named: {done.returncode} {done.stderr}"
@@ -226,6 +230,7 @@ def _check_page(environment: Environment, check: Check) -> Iterator[str]:
             if address is None:
                 yield f"no page: {lines}"
                 return
+            # The page itself, and a file that only the wheel's data can provide.
             for name in (address[2], "/page/main.js"):
                 with urllib.request.urlopen(address[1] + name, timeout=30) as page:
                     if not page.read():
@@ -260,6 +265,7 @@ def interpreters() -> dict[str, str]:
 
 
 def _is(path: str, version: str) -> bool:
+    # venv is missing in some distributions of Python, which cannot make environments then.
     asked = [path, "-c", "import sys, venv; print('%d.%d' % sys.version_info[:2])"]
     return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() == version
 
@@ -283,6 +289,7 @@ def main() -> int:
                 print(f"{version:6} is not installed on this machine")
                 continue
             for extra in options.extra or ("none", *EXTRAS, "all"):
+                # One environment at a time: each takes hundreds of megabytes.
                 name = "" if extra == "none" else extra
                 failures += _check_environment(Path(folder), wheel, version, installed[version], name)
         failures += _check_environment(Path(folder), sdist, "sdist", sys.executable, "")

@@ -15,6 +15,7 @@ from tests.waiting import wait_until
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 PROGRAMS = ("pip", "ruff", "mypy", "lint-imports", "pytest", "python")
 SYSTEM = ("make", "cc", "c++", "id", "apt-get", "zsh", "fish", "stunnel", "openssl", "ssh", "systemd-analyze", "tshark")
+# Each stand-in prints its name, and fails or sleeps if a variable names it.
 STAND_IN = """#!/usr/bin/env bash
 name=$(basename "$0")
 case "$name $*" in
@@ -64,6 +65,7 @@ def test_failure_of_any_part_fails_the_run(checkout: Path, fails: str, code: int
     assert script.returncode == code, shown + errors
     if fails != "ruff":
         # Every other part runs all the same; the output of those in the background comes in one piece.
+        # ruff is first: a style error ends the run before anything long begins.
         ran = [line.removeprefix("ran ") for line in shown.splitlines() if line.startswith("ran ")]
         assert ran == ["ruff", "long", "short", "mypy", "lint-imports", "fuzz"]
     assert ("FAILED" in errors) == (fails in ("mypy", "lint-imports", "fuzz", "short"))
@@ -82,7 +84,9 @@ def test_signal_ends_both_chains(checkout: Path, sleeps: str) -> None:
     with start(checkout, sleeps=sleeps) as script:
         file = checkout / "pid"
         wait_until(lambda: file.exists() and file.read_text() != "")
+        # The whole process group, as Ctrl-C at a terminal does.
         os.killpg(script.pid, signal.SIGTERM)
         script.communicate(timeout=30)
+    # A shell reports a process that a signal has ended as 128 plus its number.
     assert script.returncode == 128 + signal.SIGTERM
     wait_until(lambda: not Path("/proc", file.read_text().strip()).exists())

@@ -27,6 +27,7 @@ from tests.packaging.clean_install import (
 )
 
 WORKING = ("--version", str(USER_SCRIPT))
+# Checks that take seconds: errors for missing extras, the version, and the user's script.
 QUICK = tuple(check for check in CHECKS if (check.extra and check.is_hinted) or check.words[-1] in WORKING)
 
 
@@ -53,6 +54,7 @@ def test_sdist_has_files_for_its_scripts(distribution: tuple[Path, Path]) -> Non
     with tarfile.open(distribution[1]) as archive:
         files = {member.name.partition("/")[2]: member for member in archive.getmembers() if member.isfile()}
     wanted = {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "docs/shell.md", "worlds/thesis_room.toml"}
+    # A sample of each folder that the scripts need; the next test compares all files.
     wanted |= {"clib/Makefile", "clib/include/Nclient.h", "clib/src/calls.c", "packaging/nserver.service"}
     wanted |= {"tests/packaging/test_wheel.py", "benchmarks/soak.py", "fuzz/saved_files.py", ".ci/run"}
     assert wanted <= set(files)
@@ -63,6 +65,7 @@ def test_sdist_has_files_for_its_scripts(distribution: tuple[Path, Path]) -> Non
 def test_sdist_has_exactly_the_tracked_files(distribution: tuple[Path, Path]) -> None:
     with tarfile.open(distribution[1]) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers() if member.isfile()}
+    # Files that setuptools adds itself.
     made = {name for name in names if name.startswith("nomad_nserver.egg-info/")} | {"PKG-INFO", "setup.cfg"}
     assert sorted(tracked_files() - names) == [], "MANIFEST.in lists the contents"
     assert sorted(names - tracked_files() - made) == []

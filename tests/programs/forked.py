@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 _CONTEXT = multiprocessing.get_context("forkserver")
+# What takes long to import is imported once, in the server from which programs are forked.
 _CONTEXT.set_forkserver_preload([
     "nserver_emu.cli", "nserver_emu.server.pty", "nserver_emu.viewer.server", "numpy.random", "numpy.fft", "numpy.ma",
     "nclient.cli.main", "nclient.cli.serving", "nclient.cli.doctor", "nclient.cli.shell", "nclient.cli.robot",
@@ -55,6 +56,7 @@ class Forked:
         arguments = (program, words, cwd or Path.cwd(), dict(environment or os.environ), streams)
         self._process = _CONTEXT.Process(target=_run_program, args=arguments, daemon=True)
         self._process.start()
+        # Only the forked process writes: the end of its output is then an end of file here.
         os.close(out)
         os.close(err)
 
@@ -79,6 +81,7 @@ class Forked:
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
         """Return the remaining output when it has ended; kill it after the time-out."""
+        # Both pipes are read while the process runs; a full pipe would block it.
         with ThreadPoolExecutor(len(self._streams)) as readers:
             outputs = readers.map(operator.methodcaller("read"), self._streams)
             try:
@@ -156,6 +159,7 @@ def _run_program(
 ) -> None:
     """Run the program in the forked process."""
     os.chdir(cwd)
+    # Descriptors 1 and 2 become the pipes, as a shell would arrange it.
     for number, given in enumerate(streams, 1):
         os.dup2(given, number)
         os.close(given)

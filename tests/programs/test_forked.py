@@ -22,6 +22,7 @@ def test_output_and_exit_code_equal_subprocess(words: tuple[str, ...]) -> None:
     shell = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     fork = forked.run_forked("nserver", *words, timeout=TIMEOUT_S)
     assert (fork.returncode, fork.stdout) == (shell.returncode, shell.stdout)
+    # Usage lines name the program differently; the last line is the error itself.
     assert fork.stderr.splitlines()[-1:] == shell.stderr.splitlines()[-1:]
 
 
@@ -38,6 +39,7 @@ def test_process_ends_by_signal(number: signal.Signals, code: int) -> None:
 
 
 def test_environment_is_the_current_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The fork server has an environment of its own: that of the test must be used.
     for value, code in (("sometimes", 2), ("never", 0)):
         monkeypatch.setenv("NOMAD_COMPILED", value)
         with Forked("nserver", "--port", "0", stderr=True) as process:

@@ -33,12 +33,14 @@ class Terminal:
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path) -> None:
         self._ours, theirs = pty.openpty()
+        # The size decides where a program breaks lines, which patterns must not depend on.
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
         inherited = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
         environment = {**inherited, "TERM": "xterm", "EDITOR": "", "HOME": str(folder), **environment}
         self.process = subprocess.Popen(
             [*_AT_ITS_OWN, os.ttyname(theirs), *command], cwd=folder, env=environment, start_new_session=True
         )
+        # Only the program has the terminal open: reads here fail once it has ended.
         os.close(theirs)
         self._raw = ""
         self._seen = 0
@@ -70,6 +72,7 @@ class Terminal:
         """Wait until new output matches a pattern."""
         deadline_s = time.monotonic() + TIMEOUT_S
         while True:
+            # Output that was matched before is not searched again.
             found = re.compile(pattern, re.DOTALL).search(self.shown, self._seen)
             if found:
                 self._seen = found.end()
@@ -99,5 +102,6 @@ class Terminal:
             except OSError:  # the program has ended
                 data = b""
             self._raw += data.decode(errors="replace")
+            # prompt_toolkit waits for this reply before it shows the prompt.
             if _WHERE in data:
                 os.write(self._ours, _AT_THE_TOP)

@@ -56,12 +56,14 @@ def test_shell_executes_completes_and_saves_history(program: list[str], tmp_path
         terminal.type("\x15")  # Ctrl-U: the line is empty again
         terminal.type("prr 1\r")
         terminal.see("no command 'prr'; did you mean pr.*n150>")
+        # Two commands back: the misspelt one, then the drive.
         terminal.type(UP + UP + "\r")
         terminal.see(r"x 48\.0 in.*standing.*n150>")
         terminal.type(CTRL_D)
         assert terminal.leave() == 0
     history = tmp_path / "nomad" / "history"
     assert "pr 240 0 0; wait" in history.read_text()
+    # Only the user may read the history.
     assert history.stat().st_mode & 0o077 == 0
 
 
@@ -86,6 +88,7 @@ def test_ctrl_c_stops_robot_and_shell_continues(daemon: str, tmp_path: Path) -> 
         assert not _rolls(watcher.refresh().translation_in_s)
         terminal.type("vm 50 0 0; wait 60\r")
         terminal.see("moving: translation")
+        # The command waits for the robot when Ctrl-C is pressed.
         time.sleep(0.5)
         terminal.type(CTRL_C)  # while a command runs
         terminal.see("stopped: .*n150>")
@@ -116,5 +119,6 @@ def test_exit_stops_the_robot(ending: str, daemon: str, tmp_path: Path) -> None:
         while _rolls(watcher.refresh().translation_in_s):
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
+    # The shell itself has stopped the robot before it disconnected.
     calls = re.findall(r'"call": ?"(\w+)"', output.read_text())
     assert calls[-2:] == ["st", "disconnect_robot"]

@@ -62,12 +62,14 @@ def test_tab_completion(shell: str, tmp_path: Path) -> None:
     (tmp_path / "square.nomad").write_text("st\n")
     command, settings = START[shell]
     with Terminal(command, {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}, tmp_path) as terminal:
+        # "settled" is printed by the shell itself, so the echo of the typed line does not match.
         terminal.type(f'{settings}; eval "$(nomad completion {shell})"; echo set"tled"\r')
         terminal.see("settled.*ready> ")
         for typed, completed in CASES.items():
             if shell == "zsh" and typed in NOT_IN_ZSH:
                 continue
             terminal.type(typed + TAB)
+            # The completed line is printed instead of executed.
             terminal.type(TO_THE_BEGINNING + "echo \r")
             terminal.see(rf"\n{completed} ?\r.*ready> ")
         terminal.type("exit\r")

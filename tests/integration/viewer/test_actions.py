@@ -24,11 +24,13 @@ def drag(page: OpenPage, start: tuple[float, float], end: tuple[float, float]) -
 
 def test_obstacle_drawn_by_pointer_changes_sonar(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
+        # From the sonar ring to the wall ahead: 102.17 - 9.06 = 93.1 in.
         assert robot.refresh().sonars_in[0] == 93
         page.page.click("#tool-add")
         drag(page, (50, -8), (60, 8))
         page.wait("nserver.scene.world.obstacles.length === 1")
         left = page.value("Math.min(...nserver.scene.world.obstacles[0].corners.map((corner) => corner[0]))")
+        # Reading of sonar 0: the distance to the obstacle's left side minus the ring's radius.
         page.wait(f"nserver.scene.robots['1'].state[17] === {math.floor(left - 9.06 + 0.5)}")
         assert abs(robot.refresh().sonars_in[0] - (left - 9.06)) <= 1
         page.page.click("#tool-shift")
@@ -37,6 +39,7 @@ def test_obstacle_drawn_by_pointer_changes_sonar(browser: Browser) -> None:
         page.page.click("#tool-remove")
         page.page.mouse.click(*page.at(65, 0))
         page.wait("nserver.scene.world.obstacles.length === 0")
+        # Undo in reverse order: the deletion, the move, the addition.
         for step, count, middle in (("delete", 1, 65), ("move", 1, 55), ("add", 0, None)):
             page.page.click(f"#undo:has-text('{step} obstacle')")
             page.wait(f"nserver.scene.world.obstacles.length === {count}")
@@ -48,6 +51,7 @@ def test_obstacle_by_clicks_and_by_keyboard(browser: Browser) -> None:
     hint = "document.querySelector('#tool-hint').innerText"
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.click("#tool-add")
+        # The last click is on the first corner and closes the outline.
         for corner in ((40, 40), (60, 40), (50, 60), (40, 40)):
             page.page.mouse.click(*page.at(*corner))
         page.wait("nserver.scene.world.obstacles.length === 1")
@@ -93,6 +97,7 @@ def test_robot_is_dragged_turned_and_placed(browser: Browser) -> None:
         page.page.click("#place-robot")
         page.wait("nserver.scene.robots['1'].actual[0] === 20")
         page.page.click("#tool-place")
+        # Into the wall: the robot stays where it was.
         drag(page, (20, 0), (-11, 0))
         page.wait("!document.querySelector('#notice').hidden")
         assert robot.truth().x_in == pytest.approx(20)
@@ -103,6 +108,7 @@ def test_keys_drive_while_pressed_and_stop_button_stops(browser: Browser) -> Non
         page.page.focus("#pad")
         page.page.keyboard.down("w")
         page.wait("nserver.scene.robots['1'].state[38] === 100")
+        # Longer than the timeout of a drive message: the page repeats it while the key is down.
         page.page.wait_for_timeout(900)
         assert robot.refresh().moving
         page.page.keyboard.up("w")
@@ -130,6 +136,7 @@ def test_closing_the_page_stops_driving(browser: Browser) -> None:
         page.page.mouse.down()
         page.page.mouse.move(x, y - box["height"] / 4)
         page.wait("nserver.scene.robots['1'].state[38] === 50")
+        # The page is closed while the pointer is down.
         page.page.close()
         robot.wait_until_still(timeout_s=5)
         assert not robot.refresh().moving
@@ -153,6 +160,7 @@ def test_get_robot_conf_gets_pose_from_page(browser: Browser, by_keyboard: bool)
             page.page.focus("#give-pose")
             page.page.keyboard.press("Enter")
         else:
+            # From the position to the direction: 90 deg.
             drag(page, (50, 20), (50, 60))
         asking.join(timeout=10)
         (pose,) = found

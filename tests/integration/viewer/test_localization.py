@@ -23,6 +23,7 @@ def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
         with Forked("nomad", "localize", f"nserver://127.0.0.1:{program.port}/1", *options) as localizer:
             page.wait("document.querySelector('#window-localization').innerText.includes('0 of 1 reached')")
             page.wait("nserver.map.shown.estimate")
+            # The clock is paused, so that the new waypoint is set before the old one is reached.
             page.page.click("#pause")
             page.wait("nserver.scene.paused")
             page.page.click("#tool-waypoint")
@@ -39,6 +40,7 @@ def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
         text = page.value("document.querySelector('#window-localization').innerText")
         assert " used, " in text
         axes = page.value("import('/page/localization_window.js').then((m) => m.ellipse([2, 1, 0, 1, 2, 0, 0, 0, 1]))")
+        # Eigenvalues of [[2, 1], [1, 2]] are 3 and 1, the major axis is at 45 deg.
         assert axes == pytest.approx([3**0.5, 1, 3.14159265 / 4])
 
 
@@ -94,9 +96,11 @@ TEXT = "document.querySelector('#window-localization').innerText"
 def test_estimates_per_robot_become_old(browser: Browser) -> None:
     with nserver("thesis_room", "--robots", "2") as program, open_page(browser, program.url) as page:
         page.wait(f"{TEXT}.includes(`--publish '{program.url}'`) && {TEXT}.includes('--map thesis_room')")
+        # Robot 1 twice and robot 2 in between: each has its own estimate, echoes and age.
         publish(program.url, 1)
         publish(program.url, 2, clock_s=0.5, pose=[70, 80, 1])
         publish(program.url, 1, clock_s=2.0)
+        # Estimate (20, 30), truth (23, 34): 3-4-5. Heading 6.2 against 0: 0.083 rad are 4.77 deg.
         page.wait(f"{TEXT}.includes('5.00 in, 4.77°') && {TEXT}.includes('2 used')")
         page.page.select_option("#robot-choice", "2")
         page.wait(f"{TEXT}.includes('70.00 in, 80.00 in') && {TEXT}.includes('1 used')")

@@ -37,6 +37,7 @@ def test_robot_on_canvas_follows_state(browser: Browser) -> None:
         assert page.pixel(20 - 4, 30 - 7) == floor
         shown = page.value("nserver.scene.robots['1'].encoder")
         assert shown[:2] == pytest.approx([state.x_in, state.y_in], abs=0.06)
+        # The trace ends at the robot, to half an inch.
         page.wait("nserver.scene.traces['1'].actual.points.at(-2) > 59.3")
         assert page.value("nserver.scene.traces['1'].actual.points.slice(0, 2)") == [20, 30]
         assert page.pixel(30, 30) != floor
@@ -51,6 +52,7 @@ def test_map_is_drawn_only_when_something_changes(browser: Browser) -> None:
         page.value("""(() => { const pen = nserver.map.canvas.getContext('2d'), fill = pen.fillRect.bind(pen);
             pen.fillRect = (...box) => { window.drawn += 1; fill(...box); }; })()""")
         page.wait(start)
+        # Twenty pictures in which nothing moves.
         page.wait("nserver.scene.frame >= first + 20")
         assert not page.value(more_often)
         with program.robot() as robot:
@@ -66,6 +68,7 @@ def test_beams_stay_until_robot_is_placed(browser: Browser) -> None:
     with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
         assert len(page.value(beams)) == 16
         with program.robot() as robot:
+            # An empty firing order: no new beam replaces the old ones.
             robot.configure_sonars(rate=15, order=())
             now = page.value("nserver.scene.time_s")
             page.wait(f"nserver.scene.time_s > {now} + 0.3")
@@ -184,6 +187,7 @@ def test_menu_is_below_button_and_inside_window(browser: Browser) -> None:
 def test_wrong_token_is_rejected(browser: Browser) -> None:
     with nserver("thesis_room") as program, browser.new_context() as context:
         page = context.new_page()
+        # The right token with its last three characters replaced.
         answer = page.goto(program.url[:-3] + "xxx")
         assert answer is not None
         assert answer.status == 403
@@ -192,6 +196,7 @@ def test_wrong_token_is_rejected(browser: Browser) -> None:
 
 def test_other_site_cannot_open_websocket(browser: Browser) -> None:
     with nserver("thesis_room") as program, nserver("thesis_room") as other, open_page(browser, other.url) as page:
+        # The page of one server connects to another: same machine, another origin.
         address = program.url.replace("http", "ws").replace("/?", "/ws?")
         was_opened = page.value(
             f"""new Promise((done) => {{ const socket = new WebSocket('{address}');
@@ -205,6 +210,7 @@ def test_other_site_cannot_open_websocket(browser: Browser) -> None:
 def test_view_and_grid_values(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         round_length = "import('/page/geometry.js').then((m) => m.roundLength(%s, %s, 1))"
+        # Scale in pixels per inch, minimum distance in pixels: the next round length of 1, 2 or 5.
         for scale, pixels, length in [(4, 40, 10), (4, 41, 20), (40, 40, 1), (0.1, 40, 500), (3, 60, 20)]:
             assert page.value(round_length % (scale, pixels)) == pytest.approx(length)
         back = page.value(

@@ -15,6 +15,7 @@ OBSTACLES = "nserver.scene.world.obstacles"
 CORNERS = 12
 
 
+# Twelve corners in centimetres, with more decimals than the page shows.
 def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Path) -> None:
     angles = [2 * math.pi * k / CORNERS for k in range(CORNERS)]
     corners = [[170.123 + 30 * math.cos(angle), 170 + 30 * math.sin(angle)] for angle in angles]
@@ -32,6 +33,7 @@ def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Pa
         page.page.click("#tool-remove")
         page.page.mouse.click(*page.at(67, 67))
         page.wait(f"{OBSTACLES}.length === 0")
+        # Undo the deletion, then the move: the obstacle must be exactly the old one.
         page.page.keyboard.press("Control+z")
         page.wait(f"{OBSTACLES}.length === 1 && {OBSTACLES}[0].corners[0][0] > {left} + 2")
         page.page.keyboard.press("Control+z")
@@ -39,6 +41,7 @@ def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Pa
         page.page.click("#tool-shift")
         page.page.mouse.move(*page.at(67, 67))
         page.page.mouse.down()
+        # Onto the robot: refused, and drawn at its old place.
         page.page.mouse.move(*page.at(0, 0), steps=3)
         page.page.mouse.up()
         page.wait("document.querySelector('#notice').innerText.includes('it would overlap a robot')")
@@ -85,6 +88,7 @@ def test_viewers_undo_their_own_steps(browser: Browser) -> None:
         two.wait(f"{corners} === '[[40,41],[70,40]]'")
         press(two, "move right", 2, "70,40")
         one.wait(f"{corners} === '[[40,41],[71,40]]'")
+        # Each page undoes its own last step, whatever the other has done meanwhile.
         undo(one)
         two.wait(f"{corners} === '[[40,40],[71,40]]'")
         press(one, "delete", 1, "40,40")
@@ -99,6 +103,7 @@ def test_viewers_undo_their_own_steps(browser: Browser) -> None:
         two.wait(f"{corners} === '[[70,40],[40,40]]'")
         press(two, "move up", 2, "40,40")
         one.wait(f"{corners} === '[[70,40],[40,41]]'")
+        # The other page has moved the obstacle that this step added: it cannot be undone.
         undo(one)
         one.wait(f"{words}.includes('cannot undo “add obstacle”: ')")
         assert one.value(corners) == "[[70,40],[40,41]]"
@@ -115,6 +120,7 @@ def test_viewers_undo_their_own_steps(browser: Browser) -> None:
 
 def test_undo_waits_for_running_step(browser: Browser) -> None:
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        # Every reply is late by 300 ms, so that steps overlap.
         page.value(
             """(() => { const request = nserver.link.request; nserver.link.request = async (message) => {
             const answer = await request(message);
@@ -152,6 +158,7 @@ def test_world_is_chosen_from_gallery(browser: Browser) -> None:
 
 
 def test_walls_are_drawn_dragged_and_deleted(browser: Browser) -> None:
+    # The first four walls are the outline of the room.
     walls = "JSON.stringify(nserver.scene.world.walls.slice(4).map((wall) => wall.map(Math.round)))"
 
     def drag(page: OpenPage, *points: tuple[float, float]) -> None:
@@ -169,6 +176,7 @@ def test_walls_are_drawn_dragged_and_deleted(browser: Browser) -> None:
         page.page.click("#tool-shift")
         drag(page, (60, 60), (60, 80))
         page.wait(f"{walls} === '[[60,80,102,102]]'")
+        # Dragged in the middle the whole wall moves.
         drag(page, (81, 91), (71, 81))
         page.wait(f"{walls} === '[[50,70,92,92]]'")
         page.page.click("[aria-label='move left wall 1']")

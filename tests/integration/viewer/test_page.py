@@ -25,11 +25,13 @@ def test_noise_setting_changes_client_readings(browser: Browser) -> None:
             page.wait("nserver.scene.bodies['1'].noise.sensors === 'measured'")
             assert page.value("nserver.scene.bodies['2'].noise.sensors") == "ideal"
             page.wait("new Set(nserver.scene.history['1'].map((one) => one.sonars.join())).size > 3")
+            # Measured sonars differ from the exact reading by noise, but not by more than 30 in here.
             assert abs(robot.refresh().sonars_in[0] - exact) <= 30
             page.page.check("#noise-all")
             page.page.select_option("#noise-motion", "noisy")
             page.wait("['1', '2'].every((id) => nserver.scene.bodies[id].noise.motion === 'noisy')")
             page.page.select_option("#noise-sensors", "ideal")
+            # Exact sonars again: State has the rounded reading.
             page.wait(f"nserver.scene.robots['1'].state[17] === {round(exact)}")
         with open_page(browser, program.url) as other:
             other.wait("document.querySelector('#noise-motion').value === 'noisy'")
@@ -70,6 +72,7 @@ def test_read_only_link_is_shown_and_copied(browser: Browser) -> None:
 def test_escape_and_space_stop(browser: Browser) -> None:
     moving, still = "nserver.scene.robots['1'].state[41] !== 0", "nserver.scene.robots['1'].state[41] === 0"
     with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
+        # A key on the page, in a text field, and in a list: each must stop.
         cases: list[tuple[Callable[[], object], str]] = [
             (lambda: page.page.click("#fit"), "Space"), (lambda: page.page.focus("#corners"), "Escape"),
             (lambda: page.page.select_option("#noise-motion", "ideal"), "Escape"),
@@ -84,12 +87,14 @@ def test_escape_and_space_stop(browser: Browser) -> None:
             page.wait("document.querySelector('#estop-banner').hidden")
         page.page.focus("#corners")
         page.page.keyboard.press("Space")
+        # A space in a text field is text, no stop.
         assert page.page.input_value("#corners") == " "
         page.page.focus("#pad")
         page.page.keyboard.down("a")
         page.wait(moving)
         page.page.keyboard.press("Escape")
         page.wait(still)
+        # A repeated key must not start the motion again after the stop.
         page.page.keyboard.down("a")  # as a pressed key repeats
         page.page.wait_for_timeout(300)
         assert page.value(still)
@@ -101,6 +106,7 @@ def test_escape_and_space_stop(browser: Browser) -> None:
         page.wait(still)
         failing = """import('/page/estop.js').then((m) =>
             m.stop({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
+        # Without a connection the page must not claim that the robot was stopped.
         assert page.value(failing) == "NOT STOPPED — not connected"
 
 
@@ -110,6 +116,7 @@ BUTTONS = [f"JSON.stringify((({{x, width}}) => [x, width])(document.querySelecto
 
 def test_loading_world_can_be_undone_and_redone(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "other.toml"
+    # The obstacle's corners are in centimetres, with forms of numbers that only TOML has (1_00.0, +150).
     file.write_text(format_world(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
                     "corners_cm = [[1_00.0, +150], [110, 150.], [110, 160]]\n".replace("150.]", "150.0]"))
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
@@ -150,6 +157,7 @@ def test_obstacles_move_by_keys_and_errors_are_shown(browser: Browser) -> None:
         page.page.fill("#move-step", "2.5")
         page.page.focus("[aria-label='move right obstacle 1']")
         for count in (1, 2, 3):
+            # After each press the focus must stay on the same button, although the list is drawn anew.
             page.page.keyboard.press("Enter")
             page.wait(f"{OBSTACLES}[0].corners[0][0] === {60 + 2.5 * count}")
             page.wait("document.activeElement.ariaLabel === 'move right obstacle 1'")
@@ -162,6 +170,7 @@ def test_obstacles_move_by_keys_and_errors_are_shown(browser: Browser) -> None:
             page.page.fill("#corners", corners)
             page.page.press("#corners", "Enter")
             page.wait(f"{NOTICE}.innerText.includes({json.dumps(words)})")
+        # In centimetres: 127 cm are 50 in.
         page.page.click("#units")
         page.page.fill("#corners", "127,127 152.4,127 152.4,152.4")
         page.page.press("#corners", "Enter")
@@ -179,6 +188,7 @@ def test_click_selects_robot_and_preferences_persist(browser: Browser) -> None:
             page.page.click(f"#tool-{tool}")
             page.page.mouse.click(*page.at(22, 33))
         page.page.wait_for_timeout(300)
+        # Turning and placing need a drag; a click changes nothing.
         assert page.value("nserver.scene.robots['1'].actual") == [20, 30, 0, 0]
         page.page.click("#tool-pan")
         page.page.click("#follow")
@@ -289,10 +299,12 @@ def test_svg_xor_equals_canvas(browser: Browser) -> None:
         text = page.value("import('/page/export.js').then((m) => m.svgOf(nserver))")
         page.page.evaluate("['sonar', 'grid'].forEach((name) => document.getElementById(`layer-${name}`).click())")
         page.wait("(nserver.map.draw(), true)")
+        # Three points: the crossing of both lines, and one on each line alone.
         read = """[[70, 50], [65, 50], [70, 45]].map(([x, y]) => { const [px, py] = nserver.map.screenOf(x, y);
               const [red, green, blue] = pen.getImageData(Math.floor(px), Math.floor(py), 1, 1).data;
               return red + green + blue; })"""
         shown = page.value(f"(() => {{ const pen = nserver.map.canvas.getContext('2d'); return {read}; }})()")
+        # XOR: where the lines cross, the pixel has the colour of the paper again.
         assert shown[0] > max(shown[1:]) + 200
         drawn = page.value(
             """(async (text) => { const image = new Image();

@@ -50,6 +50,7 @@ async def test_a_slow_older_save_does_not_replace_a_newer_one(
 ) -> None:
     emulator, path, gate = Emulator(simulation()), tmp_path / "saved.json", asyncio.Event()
 
+    # The save in a thread has serialized the state already, and is delayed before it writes.
     async def late(write: Callable[..., None], *args: Any) -> None:
         await gate.wait()
         write(*args)
@@ -57,6 +58,7 @@ async def test_a_slow_older_save_does_not_replace_a_newer_one(
     monkeypatch.setattr(asyncio, "to_thread", late)
     file = SaveFile(emulator, path)
     saving = asyncio.create_task(file.save_in_thread())
+    # The older save reaches the gate; meanwhile a newer one is written at once.
     await asyncio.sleep(0)
     emulator.pass_time(2.0)
     file.save()
@@ -71,6 +73,7 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
     path = tmp_path / "folder" / "saved.json"
     file = SaveFile(Emulator(simulation()), path)
     with caplog.at_level(logging.WARNING):
+        # Three failures are one log entry; the first success after them is another.
         for _ in range(3):
             await file.save_in_thread()
         path.parent.mkdir()
@@ -84,6 +87,7 @@ async def test_a_failing_save_is_logged_once_and_its_recovery(
     assert json.loads(path.read_text())["format"] == snapshot.FORMAT
 
 
+# Opening a pipe without reader would block.
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/null")])
 async def test_a_pipe_or_a_device_is_not_written(
     tmp_path: Path, make: Callable[[Path], None], caplog: pytest.LogCaptureFixture

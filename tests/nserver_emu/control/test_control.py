@@ -49,6 +49,7 @@ class RecordingServer(FakeServer):
 
     def send(self, request: object) -> dict[str, Any]:
         line = request if isinstance(request, bytes) else json.dumps(request).encode()
+        # One line out for each line in, whatever it contains.
         answer = answer_line(self, line)
         assert answer.endswith(b"\n")
         assert answer.count(b"\n") == 1
@@ -89,6 +90,7 @@ def test_time_is_the_owners() -> None:
     assert server.request("resume")["paused"] is False
     assert server.request("speed", "10")["speed"] == 10.0
     assert server.request("speed", "max")["speed"] == "max"
+    # Pause, two steps and resume, then two speeds: the clock is recorded each time.
     assert server.paces == [(1.0, True)] * 3 + [(1.0, False), (10.0, False), (None, False)]
 
 
@@ -105,6 +107,7 @@ def test_a_plan_comes_into_force_counts_and_goes() -> None:
     assert server.faults.plan == PLAN
     assert server.request("faults show") == {"plan": plan_text(PLAN)}
     server.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
+    # One frame on the serial line has matched the rule, none on the other.
     counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
     assert server.request("faults counts") == {"counts": counts}
     assert server.request("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
@@ -122,6 +125,7 @@ def test_noise_is_changed_returned_and_recorded() -> None:
     assert server.request("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
     for wrong in (7, "loud", {"sensors": "loud"}):
         assert "noise: " in server.send({"command": "noise", "argument": wrong})["error"]
+    # Only what was valid is recorded, in the form in which it was requested.
     assert server.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
 
 
@@ -137,6 +141,7 @@ def test_the_world_is_shown_and_another_put_in_its_place() -> None:
         assert "world set: the text of a world file" in error
     broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
     assert "x.toml: is no TOML" in server.send(broken)["error"]
+    # A world that was shown is recorded too: its text restores exactly it.
     assert server.changes == [{"shown": True}, {"world": changed}]
 
 
@@ -163,6 +168,7 @@ def test_help_lists_every_command() -> None:
         (b"[]", "a request is a line"),
         (b'"x"', "a request is a line"),
         (b"{}", "a request is a line"),
+        # Deeper than Python's recursion limit.
         (b"[" * 100_000, "a request is a line"),
         ({"command": "puase"}, "no command 'puase'; there are status, .*; did you mean pause?"),
         ({"command": 5}, "no command 5"),
@@ -171,6 +177,7 @@ def test_help_lists_every_command() -> None:
         ({"command": "speed", "argument": 1000}, "from 0.1 to 999, not 1000"),
         ({"command": "speed", "argument": True}, "not True"),
         ({"command": "speed", "argument": [1]}, "not [1]"),
+        # An integer that does not fit into a float; its text is cut in the message.
         ({"command": "speed", "argument": 10**400}, "from 0.1 to 999, not 1000"),
         ({"command": "step", "argument": -(10**400)}, "step: seconds from 0 to 60, not -1000"),
         ({"command": "step", "argument": 61}, "step: seconds from 0 to 60, not 61"),
@@ -203,6 +210,7 @@ def test_robots_are_stopped_for_good_and_released() -> None:
     assert server.request("stop", 1)["held"]
     assert server.request("release")["held"] == {}
     assert server.request("status")["robots"][0]["held"] is None
+    # A number without robot, a word, a float and a list.
     for wrong in ("7", "all", 1.0, [1]):
         error = server.send({"command": "stop", "argument": wrong})["error"]
         assert error == f"stop: no robot {wrong}; there are 1"
@@ -215,6 +223,7 @@ def test_an_obstacle_is_moved_by_its_corners() -> None:
     wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
     assert server.request("obstacle", wanted)["is"] == [[61, 62], [71, 62], [71, 72]]
     assert server.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
+    # By its new corners; without "by" it is removed.
     assert server.request("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}')["obstacles"] == 0
     assert len(server.changes) == 2
     for wrong in (3, "{", [1]):
@@ -230,6 +239,7 @@ corners_in = [[60, 60], [70, 60], [70, 70]]
 """
 
 
+# A pipe would block, a device would lose the snapshot.
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/null")])
 def test_save_refuses_what_is_no_regular_file(tmp_path: Path, make: Callable[[Path], object]) -> None:
     make(tmp_path / "other")
@@ -252,9 +262,11 @@ async def test_a_world_is_read_while_the_event_loop_runs(monkeypatch: pytest.Mon
     request = json.dumps({"command": "world set", "argument": argument}).encode()
     asyncio.get_running_loop().call_later(0.05, may_go_on.set)
     answer = json.loads(await answer_line_in_thread(server, request))
+    # The event loop was running meanwhile, as the timer that lets the thread continue shows.
     assert answer == {"ok": True, "said": {"world": "new"}}
     assert server.emulator.simulation.world.name == "new"
     assert server.changes == [{"world": argument}]
+    # The interval at which Python switches threads is restored.
     assert sys.getswitchinterval() == pytest.approx(interval)
 
 

@@ -27,6 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 async def backwards(line: bytes) -> bytes:
     if line == b"fault\n":
         raise RuntimeError("a bug")
+    # Any answer that shows which line it belongs to.
     return line.strip()[::-1] + b"\n"
 
 
@@ -47,6 +48,7 @@ async def ask(path: Path, *lines: bytes) -> bytes:
     reader, writer = await asyncio.open_unix_connection(str(path))
     try:
         writer.write(b"".join(lines))
+        # The end of input after the last line: the reader gets all answers, then the end.
         writer.write_eof()
         return await reader.read()
     finally:
@@ -58,8 +60,10 @@ async def test_a_line_in_a_line_out_for_the_owner_only(folder: Path) -> None:
     path = folder / "s"
 
     async with open_socket(path):
+        # Only the owner may connect: mode 600.
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert await ask(path, b"abc\n", b"xy\n") == b"cba\nyx\n"
+        # The last line may have no newline.
         assert await ask(path, b"half") == b"flah\n"
     assert not path.exists()
 
@@ -101,6 +105,7 @@ async def test_open_connections_are_closed_with_the_socket(folder: Path) -> None
 
 async def test_only_a_stale_socket_is_replaced(folder: Path) -> None:
     path = folder / "s"
+    # The file of a socket that nothing listens to, as after a crash.
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))
 
@@ -116,6 +121,7 @@ async def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
     with pytest.raises(ConnectionLost, match="no socket"):
         await ControlSocket(path, backwards).open()
     assert path.read_text() == "mine"
+    # A dangling link: nothing may be created at its target.
     (folder / "dangling").symlink_to(folder / "nowhere")
     with pytest.raises(ConnectionLost, match="No such file"):
         await ControlSocket(folder / "dangling", backwards).open()
@@ -133,6 +139,7 @@ async def test_a_socket_that_took_its_place_stays(folder: Path) -> None:
     path = folder / "s"
 
     async with open_socket(path):
+        # Another program has replaced the file: closing must not remove it.
         path.unlink()
         path.write_text("another's")
     assert path.read_text() == "another's"
@@ -147,6 +154,7 @@ async def test_the_users_own_place(folder: Path, monkeypatch: pytest.MonkeyPatch
 
     async with open_socket(own):
         assert stat.S_IMODE(own.parent.stat().st_mode) == 0o700
+    # The folder in /tmp belongs to another user, who could answer in place of the server.
     monkeypatch.setattr(os, "getuid", lambda: 4711)
     with pytest.raises(ConnectionLost, match="another user"):
         await ControlSocket(own, backwards).open()
@@ -161,6 +169,7 @@ async def test_a_planted_runtime_folder_is_refused(folder: Path, monkeypatch: py
         await ControlSocket(own, backwards).open()
     own.parent.unlink()
     own.parent.mkdir()
+    # Writable by all: another user could replace the socket in it.
     own.parent.chmod(0o777)
     with pytest.raises(ConnectionLost, match="other users"):
         await ControlSocket(own, backwards).open()

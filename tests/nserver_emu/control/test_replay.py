@@ -35,6 +35,7 @@ from worlds.io import SHIPPED, format_world, load_world
 pytestmark = pytest.mark.long
 
 REAL_TIME = RunHeader(SimulationConfig(), SimulationClock(), Allowed())
+# Lockstep makes time follow from the requests, noise makes wrong draws visible.
 LOCKSTEP = RunHeader(SimulationConfig(noisy=True, seed=5), SimulationClock(lockstep_s=0.1), Allowed())
 THREE = SimulationConfig(
     world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, setup="measured",
@@ -48,6 +49,7 @@ async def recorded(
     """Return the recording of a daemon that ran the scenario."""
 
     def record(server: RunningServer) -> None:
+        # The header has everything that decides replies: what the replay must not guess.
         numbers = {"port": server.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}
         server.daemon.record(path, run_header.to_json("2026-01-01T00:00:00", **numbers))
 
@@ -65,6 +67,7 @@ async def converse(client: Client, first: int, count: int) -> None:
 async def talk_of(server: RunningServer, robot_id: int, count: int) -> None:
     client = await server.open_client()
     assert (await client.ask("connect_robot", robot_id, robot_id)).values == (server.port,)
+    # Motions and questions differ by robot, so that swapped connections would be detected.
     await client.ask("vm", 60, 100 * robot_id, -50)
     await converse(client, robot_id * 1000 + 1, count)
 
@@ -79,7 +82,9 @@ async def test_a_lockstep_recording_replays_byte_by_byte(tmp_path: Path) -> None
 
     recording = await recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     outcome = replay(recording)
+    # 120 requests and CONNECT.
     assert (outcome.answers, outcome.difference) == (121, "")
+    # Every byte that clients received was compared.
     assert outcome.size == sum(len(entry.data) for entry in recording.entries if entry.kind == "in")
 
 
@@ -97,6 +102,7 @@ async def test_three_noisy_robots_and_as_many_clients(
 ) -> None:
     recording = await recorded(tmp_path / "run.log", RunHeader(THREE, pace, Allowed()), three_at_once, speed)
     outcome = replay(recording)
+    # Three clients: CONNECT, vm and 15 requests each.
     assert (outcome.answers, outcome.difference) == (3 * 17, "")
     assert len(recording.connections()) == 3
 
@@ -107,12 +113,14 @@ async def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Pat
     async def scenario(server: RunningServer) -> None:
         driver, watcher = await server.connect_client(), await server.connect_client()
         await driver.ask("vm", 100, 0, 0)
+        # ws defers its reply, so that 300 requests wait behind it and are answered in many turns.
         watcher.writer.write(
             codec.encode_tcp_request(Call("ws", (1, 1, 1, 2))) + codec.encode_tcp_request(Call("gs")) * 300
         )
         driver.writer.close()
         for name in ("ws", *["gs"] * 300):
             await watcher.reply(name)
+        # Without CONNECT: it continues the robot of a client of this address.
         other = await server.open_client()
         assert (await other.ask("gs")).slots[38] == 0
         watcher.writer.write(codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
@@ -123,6 +131,7 @@ async def test_replay_of_closed_pipelining_and_unconnected_clients(tmp_path: Pat
         run_header = RunHeader(
             SimulationConfig(noisy=True), SimulationClock(factor=50.0, lockstep_s=lockstep_s), Allowed()
         )
+        # At 50 times real time, and in lockstep.
         outcome = replay(await recorded(tmp_path / "run.log", run_header, scenario, 50.0))
         assert outcome.answers > 5
         assert outcome.difference == ""
@@ -137,6 +146,7 @@ async def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> 
             assert json.loads(answer_line(server.daemon, line))["ok"]
             shown.append((await client.ask("gs")).slots[0])
         assert shown == [200, 0, 0, 200, 9999]
+        # The fault plan answers vm itself, so the request never reaches the session and is not in the recording.
         refusing = Rule("no", (Nak(),), commands=("vm",), directions=frozenset({Direction.REQUEST}))
         server.daemon.faults.put(Plan((refusing,)), server.daemon.lines())
         assert (await client.ask("vm", 0, 0, 0)).kind == "error"
@@ -145,7 +155,9 @@ async def test_replay_repeats_control_commands_but_no_faults(tmp_path: Path) -> 
     recording = await recorded(
         tmp_path / "run.log", RunHeader(SimulationConfig(noisy=True), SimulationClock(), Allowed()), scenario
     )
+    # 5b = 91 is the type of an ERROR reply.
     assert not any(entry.kind == "in" and entry.data[1:2] == b"\x5b" for entry in recording.entries)
+    # CONNECT, vm, five times gs after commands, and the last gs.
     assert (replay(recording).answers, replay(recording).difference) == (8, "")
 
 
@@ -157,6 +169,7 @@ async def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None
             ("noise", "sensors=measured motion=noisy robot=1"), ("world set", {"text": other, "file": "w.toml"}),
             ("noise", {"sensors": "noisy"}),
         ):  # fmt: skip
+            # Each change must affect the motion or the readings of the next reply.
             await client.ask("pr", 50, 300, 0)
             line = json.dumps({"command": command, "argument": argument}).encode()
             assert json.loads(answer_line(server.daemon, line))["ok"]
@@ -165,7 +178,9 @@ async def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None
 
     recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
     outcome = replay(recording)
+    # CONNECT, then pr and gs three times.
     assert (outcome.answers, outcome.difference) == (7, "")
+    # Counter-check: without the recorded change the replay differs.
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
     assert replay(tape).difference
 
@@ -181,9 +196,11 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
 
         client = await server.connect_client()
         await client.ask("add_obstacle", 3, 200, -100, 260, -100, 260, 100)
+        # An obstacle is found by its corners, 20 in = 200 tenths.
         control("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
         server.daemon.step(1.5)
         await client.ask("gs")
+        # Exported and restored as text: the replay must restore the same object.
         before = control("world show")["text"]
         await client.ask("new_world")
         control("world set", {"text": before, "file": "before"})
@@ -210,7 +227,9 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
         await client.ask("gs")
 
     recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
+    # CONNECT, add_obstacle, new_world and six times gs.
     assert (replay(recording).answers, replay(recording).difference) == (9, "")
+    # Counter-check for each kind of change.
     for change in ("wall", "world", "door", "walker"):
         tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if change not in e.more))
         assert replay(tape).difference
@@ -225,6 +244,7 @@ async def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
         server.daemon.step(0.5)
         server.daemon.hold([1], "viewer 1")
         for _ in range(3):
+            # Error 7: held.
             assert (await client.ask("vm", 100, 0, 0)).values == (7,)
             server.daemon.step(0.5)
         server.daemon.release([1])
@@ -239,6 +259,7 @@ async def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
     for entry in recording.entries:
         if "hold" in entry.more:
             del entry.more["hold"]["informs"]
+    # The recorded reply: type 005b, one word, 7.
     assert "instead of 5b000100000007" in replay(recording).difference
 
 
@@ -255,6 +276,7 @@ async def test_replay_of_a_run_that_continued_a_snapshot(tmp_path: Path) -> None
 
     run_header = dataclasses.replace(LOCKSTEP, restored=tmp_path / "saved.json")
     recording = await recorded(tmp_path / "run.log", run_header, scenario)
+    # The snapshot is part of the recording: the file itself may be overwritten in the end.
     (tmp_path / "saved.json").write_text("what the daemon saved in the end")
     assert replay(recording).difference == ""
 
@@ -274,6 +296,7 @@ async def test_a_changed_file_is_named(field: str, tmp_path: Path) -> None:
 
     recording = await recorded(tmp_path / "run.log", run_header, scenario)
     assert replay(recording).difference == ""
+    # One more newline changes nothing in the world, but the file is not the recorded one.
     mine.write_text(mine.read_text() + "\n")
     with pytest.raises(RecordingError, match=f"run.log.*{mine}.*changed"):
         replay(recording)
@@ -285,6 +308,7 @@ async def test_a_difference_is_reported_with_its_position(tmp_path: Path) -> Non
 
     path = tmp_path / "run.log"
     await recorded(path, LOCKSTEP, scenario)
+    # Another seed: the first noisy reading differs.
     path.write_text(path.read_text().replace('"seed":5', '"seed":6', 1))
     outcome = replay(read_recording(path))
     assert 0 < outcome.answers < 61
@@ -302,11 +326,13 @@ async def test_missing_bytes_at_the_end_are_a_difference(tmp_path: Path) -> None
     changed = dataclasses.replace(
         recording, entries=tuple(longer if entry is answer else entry for entry in recording.entries)
     )
+    # The reply to CONNECT has 8 bytes: a header of 4 and one word.
     assert "from byte 8 on nothing instead of 07 (8 and 9 bytes)" in replay(changed).difference
 
 
 def test_a_client_recording_of_an_in_process_emulator(tmp_path: Path) -> None:
     address = "sim:thesis_room?noisy=1&seed=4"
+    # Two runs: a recording in process has no real times and must be equal byte by byte.
     whole = []
     for _ in range(2):
         recorder = Recorder(RecordingWriter(tmp_path / "run.log", {"address": address}))
@@ -337,12 +363,14 @@ def test_recordings_that_cannot_be_replayed(tmp_path: Path) -> None:
     recorder = Recorder(RecordingWriter(path, head), lambda: 0.0)
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
+    # Without "open" there is no connection "a".
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
     with pytest.raises(RecordingError, match=r"line 3: .*'a' .*never"):
         replay(read_recording(path))
 
 
 @pytest.mark.parametrize(("changes", "message"), [
+    # Numbers beyond the longest step of a server, and entries of another shape.
     ({"steps": 3}, "line 2: not an entry of a server"), ({"steps": [["x", 1]]}, "line 2: not an entry"),
     ({"steps": [[float("nan"), 1]]}, "line 2: not an entry"), ({"steps": [[10**400, 1]]}, "line 2: not an entry"),
     ({"steps": [[250.1, 1]]}, "line 2: not an entry"), ({"steps": [[1e300, 1]]}, r"a step of 1e\+300 s"),
@@ -385,6 +413,7 @@ def test_entries_of_closed_connections_are_refused(tmp_path: Path, kind: str) ->
 
 
 def test_the_step_limit_covers_all_steps_of_a_server() -> None:
+    # The longest step: the highest time factor times the longest catch-up, or the longest step on request.
     assert MAX_STEP_S >= MAX_TIME_FACTOR * MAX_CATCH_UP_S
     assert MAX_STEP_S >= MAX_STEP_MS / 1000
 

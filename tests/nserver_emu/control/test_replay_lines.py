@@ -70,6 +70,7 @@ class RunningServer:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         self.hosts.callback(writer.close)
         host = Host(reader, writer, own.model)
+        # A N200 sends its handshake first; without it the host would misread the replies.
         if own.model.sends_mask:
             apply_handshake(read_handshake(await reader.readexactly(HANDSHAKE_SIZE)), host.wire_state)
         return host
@@ -102,6 +103,7 @@ async def drive(host: Host, turns: int) -> None:
 def check(recording: Recording, at_least: int) -> None:
     outcome = replay(recording)
     assert outcome.difference == ""
+    # The recording must contain what the scenario is about.
     assert outcome.answers >= at_least
 
 
@@ -115,6 +117,7 @@ async def test_two_robots_on_two_lines(tmp_path: Path) -> None:
         recording = await recorded(tmp_path / "run.log", pace, scenario)
         wires = [entry.more["wire"] for entry in recording.entries if entry.kind == "open"]
         assert wires == ["serial", "hello"]
+        # 14 exchanges of each host (sp, 3 x 4, st), and the handshake.
         check(recording, 2 * 14 + 1)
 
 
@@ -122,15 +125,19 @@ async def test_partial_frames_stray_bytes_and_short_timeouts(tmp_path: Path) -> 
     async def scenario(server: RunningServer) -> None:
         host = await server.host(1)
         await host.ask("vm", 50, 0, 0)
+        # A stray byte, then two start bytes whose lengths (257 and 513) are out of range.
         host.writer.write(b"\xee\x01\x01" + host.request("gs"))
         await host.reply()
+        # st arrives during ws and cancels its reply.
         host.writer.write(host.request("ws", 1, 1, 1, 200))
         await asyncio.sleep(0.05)
         await host.ask("st")
+        # The begin of a frame with a length of 60: the two requests behind it are found after its timeout.
         host.writer.write(bytes((1, 60, 0, 5)) + host.request("get_rc") + host.request("get_bp"))
         assert (await host.reply()).kind == "configuration", "behind half a frame that was given up"
         assert (await host.reply()).kind == "bumper"
         host.writer.write(bytes((1, 60, 0, 5, 9)))
+        # Longer than the timeout of a frame, 0.5 s.
         await asyncio.sleep(0.7)
         await host.ask("get_rv")
 
@@ -142,6 +149,7 @@ async def test_consecutive_hosts_at_a_pseudo_terminal(tmp_path: Path) -> None:
         daemon, loop = server.daemon, asyncio.get_running_loop()
         line = PtyConnection(daemon, robot_line(daemon, 1), PseudoTerminal(tmp_path / "robot"))
         try:
+            # Two hosts in turn, each of which ends with its motion running.
             for _ in range(2):
                 fd = os.open(tmp_path / "robot", os.O_RDWR | os.O_NOCTTY)
                 request = codec.encode_serial_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))

@@ -50,6 +50,7 @@ def busy() -> tuple[Emulator, WireClient]:
     client.ask("connect_robot", 1, 1)
     client.ask("dp", 100, 200)
     client.ask("pr", 250, 900, -450)
+    # No multiple of any period: rings, clock and command timeout are between two events.
     emulator.simulation.step(1.2345)
     return emulator, client
 
@@ -59,6 +60,7 @@ def future(emulator: Emulator, client: WireClient) -> list[object]:
     replies: list[object] = []
     for _ in range(60):
         emulator.simulation.step(0.1)
+        # Readings, encoders and the ground truth show every part of the robot's state.
         replies += [client.ask("gs"), client.ask("sim_truth").values]
     replies += [client.ask("vm", 50, -100, 30), client.ask("get_rpx").values]
     for _ in range(20):
@@ -77,6 +79,7 @@ def test_restored_simulation_continues_bit_for_bit(tmp_path: Path) -> None:
     assert restored.graphics.shapes == emulator.graphics.shapes
     pings = emulator.simulation.robots[1].sonar.pings
     assert restored.simulation.robots[1].sonar.pings == pings
+    # The last pings come from different places: the robot has moved between them.
     assert len({ping.x_in for ping in pings if ping}) >= 3
     assert (restored.transcript, restored.transcript.maxlen) == (emulator.transcript, MAX_UTTERANCES)
     assert snapshot.dumps(restored) == snapshot.dumps(emulator)
@@ -94,6 +97,7 @@ def test_long_runs_are_saved_in_little_memory() -> None:
     for trace in (emulator.traces.actual[1], emulator.traces.encoder[1]):
         for number in range(MAX_POINTS):
             trace.add(number + 1 / 3, 0.1 * number)
+    # More than any real run: full traces and thousands of shapes.
     for number in range(2000):
         emulator.graphics.draw(Figure.LINE, (number, 1000, 2000, 3000), 1)
     tracemalloc.start()
@@ -102,6 +106,7 @@ def test_long_runs_are_saved_in_little_memory() -> None:
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
+    # The peak is bounded by the size of the text itself.
     assert most < 5 * len(text)
     restored = Emulator(simulation())
     snapshot.loads(restored, text)
@@ -114,6 +119,7 @@ def test_tracks_are_saved_as_little_endian_doubles() -> None:
     emulator.pass_time(0.1)
     x_in, y_in = emulator.traces.actual[1].points[0]
     points, _total, _jumps = json.loads(snapshot.dumps(emulator))["state"]["traces"][0]["1"]
+    # Little-endian doubles, whatever the machine.
     assert b64decode(points) == struct.pack("<2d", x_in, y_in)
 
 
@@ -134,9 +140,11 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
         for number in range(6):
             emulator.pass_time(0.23)
             for client in clients:
+                # Each sensor is queried by its own command, as State does not have all of them.
                 names = ("gs", "get_cp", "get_ir", "get_sn", "get_ls", "get_bp", "sim_truth")
                 replies += [client.ask(name) for name in names]
             replies += [emulator.traces.to_state(), emulator.graphics.to_state()]
+            # A motion in the middle also compares how both robots react.
             if number == 3:
                 clients[2].ask("vm", -80, 50, 0)
             arm = emulator.arms[2]
@@ -146,6 +154,7 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
     emulator = Emulator(config.simulation())
     first = clients(emulator)
     for client in first:
+        # Every sensor with stamps, another order of the rings, a command timeout and the arm.
         client.ask("ct", *EVERYTHING.with_position(31).smask)
         client.ask("vm", 70, 60, 50)
         client.ask("conf_sn", 2, *range(16))
@@ -159,6 +168,7 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
     again = clients(restored)
     for client in again:
         client.ask("ct", *EVERYTHING.with_position(31).smask)
+    # The new clients have read the state once; so must the old ones, as some slots repeat the last value.
     for client in first:
         client.ask("gs")
     assert replies_of(restored, again) == replies_of(emulator, first)
@@ -168,6 +178,7 @@ def test_three_models_with_all_sensors_continue_bit_for_bit(setup: str) -> None:
 @pytest.mark.long
 def test_saving_changes_nothing() -> None:
     (one, client), (other, watched) = busy(), busy()
+    # Saving three times must not draw a random number or advance anything.
     for _ in range(3):
         snapshot.dumps(other)
     assert future(one, client) == future(other, watched)
@@ -184,6 +195,7 @@ def test_unwritable_and_missing_files_are_errors(tmp_path: Path) -> None:
 def test_too_long_snapshots_are_neither_read_nor_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     emulator, path = Emulator(simulation()), tmp_path / "saved.json"
     length = len(snapshot.dumps(emulator))
+    # Exactly as long as allowed, then one byte longer.
     monkeypatch.setattr(snapshot, "SNAPSHOT_BYTES", length)
     snapshot.save(emulator, path)
     snapshot.restore(emulator, path)
@@ -194,6 +206,7 @@ def test_too_long_snapshots_are_neither_read_nor_written(tmp_path: Path, monkeyp
     before = path.read_text()
     with pytest.raises(SnapshotError, match=r"saved\.json.*written.*--limit-graphics"):
         snapshot.save(emulator, path)
+    # The old file stays, and no temporary file is left.
     assert path.read_text() == before
     assert [each.name for each in tmp_path.iterdir()] == ["saved.json"]
 
@@ -206,6 +219,7 @@ def check_refused(text: str, match: str) -> None:
     emulator, client = busy()
     before, calls = client.ask("gs"), [0]
 
+    # Function calls are counted by the profiler: the work of a refusal is bounded on any machine.
     def count(_frame: object, event: str, _argument: object) -> None:
         calls[0] += event == "call"
 
@@ -257,6 +271,7 @@ def set_in(whole: dict[str, Any], path: tuple[str | int, ...], value: object) ->
     part: Any = whole["state"]
     for key in path[:-1]:
         part = part[key]
+    # The path must exist, otherwise the test would change nothing.
     assert path[-1] in (range(len(part)) if isinstance(part, list) else part)
     part[path[-1]] = value
 
@@ -354,6 +369,7 @@ def test_impossible_values_are_refused(path: tuple[str | int, ...], value: objec
 @pytest.mark.parametrize("name", ["drive", "rngs"])
 def test_missing_and_additional_fields_are_refused(name: str) -> None:
     whole = saved()
+    # A field is removed, then one is added.
     del whole["state"]["simulation"]["robots"]["1"][name]
     check_refused(json.dumps(whole), "RobotState")
     whole = saved()
@@ -363,6 +379,7 @@ def test_missing_and_additional_fields_are_refused(name: str) -> None:
 
 def test_values_a_state_cannot_hold_are_not_saved() -> None:
     emulator, _ = busy()
+    # NaN is no JSON.
     emulator.clock.factor = nan
     with pytest.raises(ValueError, match="JSON"):
         snapshot.dumps(emulator)
@@ -374,6 +391,7 @@ def test_a_group_with_realistic_sonars_passes_the_trial() -> None:
 
 def test_the_trial_refuses_overflowing_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     state = open_address("sim:thesis_room").emulator.simulation.to_state()
+    # 1e308 squared overflows: the trial computes with errors of numpy switched on.
     monkeypatch.setattr("nserver_emu.control.snapshot.state_slots", lambda *_: np.array([1e308]) * 1e308)
     with pytest.raises(FloatingPointError):
         validate_snapshot(state)
@@ -395,6 +413,7 @@ def test_values_are_decoded_by_their_declarations() -> None:
     decode: Callable[[Any], Any] = decoder(Row)
     row = decode(["a", 1, [1, 2.5], None, {"3": True}])
     assert row == Row("a", Colour.RED, (1.0, 2.5), None, {3: True})
+    # An integer in JSON becomes a float where the declaration has one.
     assert type(row.sizes[0]) is float
     for damaged in (
         ["a", 1, [1], None], ["a", 2, [], None, {}], ["a", 1.0, [], None, {}], ["a", 1, "12", None, {}],
@@ -411,6 +430,7 @@ SHAPE = [1, ["line", [1, 2, 3, 4], "Blue", False]]
 @pytest.mark.parametrize(
     ("path", "value"),
     [
+        # A line with three numbers, a colour that is markup, a number beyond a word, shapes out of order, ...
         (("graphics",), [1, {}, [[1, ["line", [1, 2, 3], "Blue", False]]], []]),
         (("graphics",), [1, {}, [[1, ["line", [1, 2, 3, 4], "<script>", False]]], []]),
         (("graphics",), [1, {}, [[1, ["line", [1, 2, 3, 2**40], "Blue", False]]], []]),
@@ -421,6 +441,7 @@ SHAPE = [1, ["line", [1, 2, 3, 4], "Blue", False]]
         (("traces",), [{"1": ["", 3, [2, 1]]}, {}, 0]),
         (("traces",), [{"1": ["AAAAAAAA8H8AAAAAAADwfw==", 1, []]}, {}, 0]),
         (("simulation", "world", "rooms"), [{"corners_in": [[0, 0], [1e9, 0], [0, 9]], "name": ""}]),
+        # One wall more than the most that are read.
         pytest.param(("simulation", "world", "inner_walls"), [[0, 0, 1, 1]] * 100_001, marks=pytest.mark.long),
         (("simulation", "world", "starts"),
          [{"x_in": 0, "y_in": 0, "steering_rad": 0, "turret_rad": 0}] * 1001),
@@ -449,6 +470,7 @@ def test_a_wrong_type_is_named_by_its_key(path: tuple[str | int, ...], value: ob
 
 @pytest.mark.parametrize("filling", ["[],", "{},", "1,"])
 def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Limits are lowered, so that the test's text can be short.
     monkeypatch.setattr(snapshot, "MAX_CONTAINERS", 500_000)
     monkeypatch.setattr(snapshot, "MAX_VALUES", 500_000)
     text = '{"format": "nserver snapshot", "format_version": 3, "state": [' + filling * 600_000 + "0]}"
@@ -457,6 +479,7 @@ def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pyt
     try:
         with pytest.raises(SnapshotError, match="at most 500000"):
             snapshot.loads(emulator, text)
+        # Less than a megabyte: the text was not parsed into objects.
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
@@ -465,6 +488,7 @@ def test_a_huge_text_is_refused_before_it_is_read(filling: str, monkeypatch: pyt
 def test_snapshots_of_version_2_have_the_rings_of_nomads() -> None:
     emulator, client = busy()
     whole = json.loads(snapshot.dumps(emulator))
+    # In version 2 the ring was two fields of the body, and the firing order had single sonars.
     for robot in whole["state"]["simulation"]["robots"].values():
         ring = robot["model"]["body"].pop("ring")
         robot["model"]["body"].update(zip(VERSION_2_BODY, (ring["radius_in"], ring["angles_rad"]), strict=True))

@@ -58,10 +58,12 @@ class ScriptedRobot:
         self.first: Callable[[], object] = lambda: None
 
     def execute(self, call: Call) -> Reply:
+        # 1. The call can be interrupted, or the line be closed, before it is executed.
         self.first()
         if self.closed:
             raise ConnectionLost("this robot is gone")
         self.calls.append(call)
+        # 2. Errors that were prepared come first, then the answer of this command, else the state.
         if self.trouble:
             raise self.trouble.pop(0)
         answer = self.process_requests.get(call.name, self.state)
@@ -99,6 +101,7 @@ class EmulatedLine:
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
         answer = self._session.process_requests(max_requests=1)
+        # Deferred replies (ws, zr) take as many steps as they need.
         while not answer:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
@@ -169,6 +172,7 @@ class GatewayClient:
     def _exchange(self, data: bytes) -> bytes:
         self.session.receive(data)
         answer = self.session.process_requests(max_requests=100)
+        # The bound ends the test if there is never a reply.
         for _ in range(1000):
             if answer:
                 break

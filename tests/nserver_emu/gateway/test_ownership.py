@@ -14,6 +14,7 @@ VM = Call("vm", (100, 0, 0))
 
 @pytest.mark.parametrize(
     ("modes", "moving", "changing"),
+    # Modes 4 and 5 are settings, 1 is a velocity, 3 releases the motor.
     [((0, 0, 0), False, False), ((4, 0, 5), False, True), ((0, 1, 0), True, True), ((0, 0, 3), True, True)],
 )
 def test_mv_changes_the_robot_by_its_modes(modes: tuple[int, int, int], moving: bool, changing: bool) -> None:
@@ -28,6 +29,7 @@ def test_the_first_to_move_becomes_the_owner() -> None:
     assert ownership.allows(VM, owner)
     assert ownership.owner is owner
     assert not ownership.is_free_for(other)
+    # All that moves or changes the robot; reading and stopping are allowed.
     for name in ("vm", "zr", "sp", "dp", "conf_tm", "place_robot", "tk", "lp"):
         assert not ownership.allows(Call(name, (0, 0, 0)), other)
     for name in ("st", "gs", "ct", "get_sn", "ws"):

@@ -25,6 +25,7 @@ GS, ST, VM = Call("gs"), Call("st"), Call("vm", (50, 0, 0))
 
 
 def opening(_link: Link, again: bool) -> Iterable[Call]:
+    # Calls after opening the line; when it is opened again, a stop first.
     return (*((ST,) if again else ()), Call("conf_tm", (5,)))
 
 
@@ -42,6 +43,7 @@ def test_jobs_run_in_order_with_all_their_replies() -> None:
     script, results = ScriptedRobot(), list[str]()
     robot = RobotWorker(lambda: script, opening)
     robot.on_result = lambda: results.append("result")
+    # The worker reads the state at the start to check that the robot answers.
     assert script.names() == ["conf_tm", "gs"]
     both = robot.submit((Call("dp", (1, 2)), Call("da", (3, 4))))
     state = robot.submit((GS,))
@@ -63,6 +65,7 @@ def test_a_stop_goes_first_and_cancels_waiting_motions() -> None:
     question = robot.submit((Call("get_sn"),))
     stop = robot.submit((ST,))
     run_pending(robot)
+    # The stop overtakes; the motion before it is refused, the question is executed.
     assert script.names() == ["st", "get_sn"]
     assert [code(job) for job in (motion, question, stop)] == [5, None, None]
 
@@ -72,6 +75,7 @@ def test_concurrent_refreshes_share_one_reply() -> None:
     robot = RobotWorker(lambda: script)
     script.names()
     first, second = robot.refresh(), robot.refresh()
+    # Two refreshes before the reply are one job.
     assert first is second
     run_pending(robot)
     assert robot.refresh() is not first
@@ -88,6 +92,7 @@ def test_a_refused_call_fails_its_own_job_only(error: Exception, expected: int) 
     robot = RobotWorker(lambda: script)
     refused, state = robot.submit((Call("dp", (1, 2)), GS)), robot.submit((GS,))
     run_pending(robot)
+    # The rest of a job is not executed after an error; other jobs are.
     assert (code(refused), code(state)) == (expected, None)
     assert list(robot.finished) == [state]
 
@@ -99,8 +104,11 @@ def test_a_lost_reply_is_error_6_and_the_next_succeeds(caplog: pytest.LogCapture
     script.trouble.append(ReplyTimeout("no answer within 1 s"))
     lost, waiting = robot.submit((VM,), moves=True), robot.submit((GS,))
     assert robot.run_next() == 0.0
+    # The waiting job fails too: its client must not wait for a line that may be dead.
     assert [code(job) for job in (lost, waiting)] == [NO_ANSWER, NO_ANSWER]
+    # Requests meanwhile fail at once, without a call to the robot.
     assert code(robot.refresh()) == NO_ANSWER
+    # The worker asks for the state, and the robot answers again.
     assert robot.run_next() is None
     assert not robot.is_silent
     assert script.names() == ["vm", "gs"]
@@ -121,6 +129,7 @@ def test_a_stop_during_a_lost_reply_is_sent_next() -> None:
     robot.run_next()
     stop = robot.submit((ST,))
     run_pending(robot)
+    # First a sign of life, then the stop.
     assert script.names() == ["gs", "gs", "st"]
     assert (code(before), code(stop)) == (NO_ANSWER, None)
 
@@ -137,6 +146,7 @@ def test_an_unanswered_stop_is_repeated_after_reconnecting(silences: int) -> Non
     assert code(stop) == NO_ANSWER
     assert code(robot.submit((GS,))) == NO_ANSWER
     assert robot.run_next() is None
+    # The stop is repeated until it is answered.
     assert script.names() == ["st"] * (silences + 1)
 
 
@@ -146,6 +156,7 @@ def test_a_stop_while_disconnected_is_sent_later() -> None:
     script.trouble += [ReplyTimeout("no answer")] * 2
     robot.submit((GS,))
     robot.run_next()
+    # The pause before the next attempt.
     assert robot.run_next() == MIN_RETRY_PAUSE_S
     script.names()
     assert code(robot.submit((ST,))) == NO_ANSWER
@@ -160,6 +171,7 @@ def zeroing_robots() -> tuple[RobotWorker, ScriptedRobot, Job]:
     robot = RobotWorker(lambda: next(scripts), opening)
     begun, broken_off = threading.Event(), threading.Event()
 
+    # The scripted zr blocks the worker's thread until the line is closed.
     def zero() -> None:
         begun.set()
         assert broken_off.wait(10)
@@ -180,12 +192,14 @@ def test_a_stop_interrupts_a_slow_command(caplog: pytest.LogCaptureFixture) -> N
     robot, again, zero = zeroing_robots()
     stopped = threading.Event()
     robot.on_result = stopped.set
+    # Closing the line is the only method to interrupt a call that waits for its reply.
     stop = robot.submit((ST,))
     while stop.result is None:
         assert stopped.wait(10)
         stopped.clear()
     robot.close()
     assert (code(zero), code(stop)) == (NO_ANSWER, None)
+    # The new line: stop, timeout and state, then the stop of the client.
     assert again.names() == ["st", "conf_tm", "gs", "st"]
     assert "zr is interrupted by a stop" in caplog.text
 
@@ -216,6 +230,7 @@ def test_retry_pauses_grow_and_a_stop_follows() -> None:
     script.trouble += [ReplyTimeout("no answer")] * 8
     robot.submit((GS,))
     pauses = [robot.run_next() for _ in range(8)]
+    # At once, then 0.5 s, doubled up to the maximum of 8 s.
     assert pauses == [0.0, MIN_RETRY_PAUSE_S, 1.0, 2.0, 4.0, MAX_RETRY_PAUSE_S, MAX_RETRY_PAUSE_S, MAX_RETRY_PAUSE_S]
     assert robot.run_next() is None
     assert not robot.is_silent
@@ -224,6 +239,7 @@ def test_retry_pauses_grow_and_a_stop_follows() -> None:
 
 def test_a_closed_line_is_reopened() -> None:
     scripts = [ScriptedRobot(), ScriptedRobot(answers={"conf_tm": RobotRefused("conf_tm", None)})]
+    # After the loss the first attempt to reopen the line fails, the second succeeds.
     opened = iter([scripts[0], None, scripts[1]])
 
     def opens() -> ScriptedRobot:
@@ -256,6 +272,7 @@ def test_close_sends_the_shutdown_calls_and_fails_the_rest() -> None:
     script.names()
     waiting = robot.submit((VM,), moves=True)
     robot.close(ST)
+    # Closing twice sends one stop.
     robot.close(ST)
     assert script.names() == ["st"]
     assert script.closed
@@ -271,6 +288,7 @@ def test_close_sends_nothing_to_a_silent_robot() -> None:
     robot.run_next()
     script.names()
     robot.close(ST)
+    # A robot that does not answer would delay the end.
     assert script.names() == []
     assert script.closed
 
@@ -278,6 +296,7 @@ def test_close_sends_nothing_to_a_silent_robot() -> None:
 def test_submit_does_not_block_while_the_thread_waits() -> None:
     script, asked, let, answered = ScriptedRobot(), threading.Event(), threading.Event(), threading.Event()
 
+    # The call blocks in the worker's thread; `submit` has returned long before.
     def waits() -> None:
         asked.set()
         assert let.wait(10)
@@ -301,6 +320,7 @@ def test_submit_does_not_block_while_the_thread_waits() -> None:
 
 
 def test_an_internal_error_fails_the_job_not_the_thread(caplog: pytest.LogCaptureFixture) -> None:
+    # An exception that is no error of a robot: a bug.
     script, answered = ScriptedRobot(answers={"tk": KeyError("ours")}), threading.Event()
     robot = RobotWorker(lambda: script)
     robot.on_result = answered.set

@@ -55,8 +55,10 @@ async def test_a_driving_client_does_not_block_others() -> None:
     def drive(address: str) -> None:
         with connect(address) as driver, connect(address) as watcher:
             driver.move(translation_in=6)
+            # 6 in at the robot, seen by both clients.
             assert driver.wait_until_still(timeout_s=20).x_in == 6.0
             assert watcher.refresh().x_in == 6.0
+            # Error 5: another client owns the robot. Error 4: a real robot has no ground truth.
             with pytest.raises(RobotRefused, match="error 5"):
                 watcher.move(translation_in=1)
             with pytest.raises(RobotRefused, match="error 4"):
@@ -81,6 +83,7 @@ async def test_a_shadow_is_summarized_and_reported(tmp_path: Path, caplog: pytes
         with connect(address) as robot:
             robot.set_position(x_in=5.0)
             refreshed = 0
+            # Until a summary is in the log, and for 20 states.
             while "real less simulated" not in caplog.text or refreshed < 20:
                 robot.refresh()
                 refreshed += 1
@@ -112,6 +115,7 @@ def test_wrappers_that_the_gateway_replaces_are_off(monkeypatch: pytest.MonkeyPa
     with connected(parsed("--real", "serial:///dev/ttyUSB0?tm_s=7&retries=1&max_speed_in_s=6", "--max-turn", "9")):
         pass
     values = opened[0].address.options
+    # The gateway feeds the watchdog and reconnects by itself; the wrappers of the address would do so as well.
     assert (values.tm_s, values.feed, values.reconnect) == (None, None, None)
     assert (values.retries, values.max_speed_in_s) == (1, 6.0)
 
@@ -119,6 +123,7 @@ def test_wrappers_that_the_gateway_replaces_are_off(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("words", "args"),
     [
+        # 4 in/s are 40 tenths; a limit of 5 deg/s holds for steering and turret.
         ((), (100, 200, 300)), (("--max-speed", "4"), (40, 200, 300)), (("--max-turn", "5"), (100, 50, 50)),
         (("--max-speed", "4", "--max-turn", "5"), (40, 50, 50)),
     ],
@@ -178,6 +183,7 @@ async def test_a_reply_after_the_end_is_ignored(caplog: pytest.LogCaptureFixture
 
     with caplog.at_level(logging.ERROR):
         await serve(proxy, nothing)
+        # A result of the robot's thread may arrive when the loop is closed.
         proxy.robot.on_result()
     assert not caplog.records
 

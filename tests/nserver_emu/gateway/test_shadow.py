@@ -23,6 +23,7 @@ def state(**slots: int) -> list[int]:
 
 
 def test_running_statistics_agree_with_numpy() -> None:
+    # A large mean and a small spread: the difference of squares would lose all digits.
     numbers = np.random.default_rng(5).normal(1e6, 0.01, 1000)
     running = RunningStatistics()
     assert running.std == 0.0
@@ -36,6 +37,7 @@ def test_running_statistics_agree_with_numpy() -> None:
     assert running.largest == -2e6
 
 
+# In tenths of a degree; +-180 deg is the same direction.
 @pytest.mark.parametrize(("tenths", "degrees"), [(5, 0.5), (3595, -0.5), (-3595, 0.5), (1800, -180.0), (-7, -0.7)])
 def test_angle_differences_are_wrapped(tenths: int, degrees: float) -> None:
     assert angle_difference_deg(tenths) == pytest.approx(degrees)
@@ -44,12 +46,14 @@ def test_angle_differences_are_wrapped(tenths: int, degrees: float) -> None:
 def test_states_are_compared_by_quantity() -> None:
     shadow = ShadowReport(N200)
     shadow.compare(
+        # Steering 5 and 3595 tenths differ by 1.0 deg. Sonars: 255 no echo, 0 dead; three of the 16 are not compared.
         state(s34=105, s35=-20, s36=5, s37=3599, s38=100, s43=10, s33=0b101, s3=4, s20=110, s21=255, s22=0, s23=255),
         state(s34=100, s35=20, s36=3595, s37=1, s38=90, s43=0, s33=0b110, s3=1, s20=107, s21=90, s22=80, s23=255),
     )
     found = {name: running.last for name, running in shadow.quantities.items() if running.last}
     assert found == pytest.approx({
         "x_in": 0.5, "y_in": -4.0, "steering_deg": 1.0, "turret_deg": -0.2, "translation_in_s": 1.0,
+        # Two bumper bits differ.
         "compass_deg": 1.0, "bumpers": 2, "infrared_2": 3, "sonar_3_in": 3,
     })  # fmt: skip
     sonars = shadow.quantities[ALL_SONARS]
@@ -76,6 +80,7 @@ def test_the_file_name_selects_json_or_csv(tmp_path: Path) -> None:
     shadow.write("sim:thesis_room", tmp_path / "shadow.json")
     whole = json.loads((tmp_path / "shadow.json").read_text())
     assert (whole["robot"], whole["model"], whole["states"]) == ("sim:thesis_room", "n150", 3)
+    # 10 - 2, 14 - 2 and 30 - 2 tenths.
     differences = np.array([0.8, 1.2, 2.8])
     expected = {"count": 3, "mean": differences.mean(), "std": differences.std(ddof=1), "max": 2.8, "last": 2.8,
                 "one_sided": 0}  # fmt: skip
@@ -86,6 +91,7 @@ def test_the_file_name_selects_json_or_csv(tmp_path: Path) -> None:
     assert {name: float(rows[0][name]) for name in expected} == pytest.approx(expected)
     with pytest.raises(RecordingError, match="cannot be written"):
         shadow.write("", tmp_path)
+    # /dev/full fails at every write.
     full = "/dev/full: the report of the shadow cannot be written: No space left on device; make room on that disk"
     with pytest.raises(RecordingError, match=full):
         shadow.write("", Path("/dev/full"))

@@ -73,6 +73,7 @@ def test_each_command_is_translated_local_or_unsupported() -> None:
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
 @pytest.mark.parametrize("own_line", [True, False])
 def test_translated_calls_exist_on_the_models_line(model: Model, own_line: bool) -> None:
+    # Whatever the gateway sends must exist on the line of the model.
     lacking = set()
     for row in COMMANDS:
         found = plan(Call(row.name, examples(row)), context(), Link(model, own_line))
@@ -109,6 +110,7 @@ def test_replies_of_get_robot_conf_and_get_ra() -> None:
     velocities = Reply("velocity", {38: 1, 39: 2, 40: 3})
     asking = context()
     assert shaped("get_ra", velocities, of=asking) == velocities
+    # get_ra uses the slots of the velocities, but must not count as velocities that were sent.
     assert asking.last_sent[38] == 0
     assert shaped("get_rv", velocities, of=asking) == velocities
     assert asking.last_sent[38:41] == [1, 2, 3]
@@ -119,6 +121,7 @@ def test_replies_after_conf_cp_and_tk() -> None:
     assert planned("conf_cp", 1, link=N200_LINE).calls == (Call("conf_cp", (1,)), Call("gs"))
     assert shaped("conf_cp", LINE_STATE, 1, link=N200_LINE).kind == "state"
     assert shaped("tk", LINE_STATE, link=N200_LINE) == Reply("simple", values=(0,))
+    # A host on a robot's own line gets the line's kind of reply.
     host = ConnectionContext(serial_wire_state(N200), robot_id=1)
     assert shaped("conf_cp", scores, 1, link=N200_LINE, of=host) == scores
     assert shaped("tk", LINE_STATE, link=N200_LINE, of=host).kind == "state"
@@ -132,6 +135,7 @@ def test_user_packets_are_unchanged() -> None:
 @pytest.mark.parametrize(
     ("call", "args", "sent"),
     [
+        # Signed numbers end at 7fff, unsigned ones at 0 and ffff, bytes at 255.
         ("vm", (40_000, -40_000, 5), (0x7FFF, -0x7FFF, 5)), ("sp", (-5, 100, 70_000), (0, 100, 0xFFFF)),
         ("ac", (1, 2, 3), (1, 2, 3)), ("conf_tm", (300,), (255,)), ("conf_tm", (-1,), (0,)),
         ("pr", (40_000, 0, -40_000), (0x7FFF, 0, -0x7FFF)), ("mv", (2, 40_000, 0, 0, 0, 0), (2, 0x7FFF, 0, 0, 0, 0)),
@@ -155,14 +159,18 @@ def test_mv_modes_that_clients_refuse_are_refused() -> None:
 
 def test_stamps_are_error_4_on_a_line_without_stamps() -> None:
     asking = context(EVERYTHING.with_position(2))
+    # The N150's line has no stamps; another Nserver has.
     assert plan(Call("ct", asking.wire_state.mask.smask), asking, LINE) == 4
     assert isinstance(plan(Call("ct", asking.wire_state.mask.smask), asking, SERVER), TranslatedCall)
 
 
 def test_a_line_packet_becomes_a_whole_clean_state() -> None:
     state = whole_state(LINE_STATE, LINE)
+    # Speed 1.0, infrareds without a reading (15), 16 sonars, no bumper, pose, velocities, motors, laser, compass,
+    # error.
     assert state == [10, *[15] * 16, *[40] * 16, 0, 100, -50, 900, 1800, 0, 0, 0, 0, 0, 450, 0]
     touching = Reply("state", {**LINE_STATE.slots, 33: 0xF00002})
+    # Bit 1, without the rest value f00000.
     assert whole_state(touching, LINE)[33] == 2
     assert whole_state(Reply("state", {33: 0x20}), Link(SCOUT, own_line=True))[33] == 0x20
     served = Reply("state", {0: 100, **LINE_STATE.slots})
@@ -172,6 +180,7 @@ def test_a_line_packet_becomes_a_whole_clean_state() -> None:
 def test_masked_slots_repeat_their_last_value() -> None:
     asking = context()
     assert state_for(asking, LINE_STATE, LINE).slots[20] == 40
+    # Slots 34 to 43 only.
     asking.wire_state.set_mask(Mask((0, *[0] * 33, *[1] * 10)))
     nearer = Reply("state", {**LINE_STATE.slots, 20: 7, 34: 101}, clock=5001, volts=(1, 2))
     reply = state_for(asking, nearer, LINE)
@@ -185,6 +194,7 @@ def test_stamps_are_passed_on_and_moving_axes_read() -> None:
     stamp = Stamp(1, 2, 3, 4, 5, 6, 7, 8, 9)
     reply = state_for(context(), Reply("state", LINE_STATE.slots, stamps={"sonar_0": stamp}), N200_LINE)
     assert reply.stamps == {"sonar_0": stamp}
+    # The three lowest bits are the axes.
     assert moving_axes(Reply("state", {41: 0b0101_1010})) == 0b010
     assert moving_axes(Reply("state")) == 0
 
@@ -202,6 +212,7 @@ def test_camera_rows_become_points_on_the_wall() -> None:
     # A row is 0.9 in here.
     assert found[:, 0] == pytest.approx(60.0, abs=0.5)
     assert found[0, 1] < 0 < found[-1, 1]
+    # Row 0 in all columns: no laser line is visible.
     blind = (482, *[0] * 482)
     assert convert_laser(blind, POINTS, N200_BODY, LineFit()) == (0,)
 
@@ -215,6 +226,7 @@ def test_points_become_lines_and_not_vice_versa() -> None:
     assert -y1 == y2 == pytest.approx(10 * (60.0 - N200_BODY.radius_in) * np.tan(np.pi / 6), abs=2)
     assert convert_laser(vector, POINTS, N200_BODY, LineFit()) == vector
     assert convert_laser(vector, PIXELS, N200_BODY, LineFit()) == (0,)
+    # Lines have four words each and cannot become points.
     assert convert_laser((1, 1, 2, 3, 4), POINTS, N200_BODY, LineFit()) == (0,)
     assert convert_laser((0,), LINES, N200_BODY, LineFit()) == (0,)
 
@@ -225,6 +237,7 @@ def test_the_laser_has_the_connections_shape() -> None:
     asking = context(laser_mode=51)
     seen = state_for(asking, reply, N200_LINE)
     assert seen.laser is not None
+    # A count and two words per point.
     assert (len(seen.laser), seen.slots[42]) == (1 + 2 * 482, 51)
     assert state_for(context(laser_mode=3), reply, N200_LINE).laser == reply.laser
     assert state_for(context(Mask((0,) + (1,) * 41 + (0, 1))), reply, N200_LINE).laser is None

@@ -28,6 +28,7 @@ class Drive:
     """Turn to the goal and drive there: the same object for all robots."""
 
     def __call__(self, observation: Mapping[str, Any]) -> Any:
+        # Slower near the goal, and turning in proportion to its bearing.
         distance, bearing = observation["goal"].tolist()
         return np.array([min(0.2, distance) * np.cos(bearing), 1.5 * bearing], dtype=np.float32)
 
@@ -107,6 +108,7 @@ def test_real_time_is_waited_for() -> None:
     robots.reset(np.ones(1, dtype=bool), np.zeros((1, 4)), None)
     robots.step(0.2)
     # Each request takes 0.05 s of simulated time.
+    # Of 0.2 s the first request takes 0.05 s, so that 0.15 s are left, and so on.
     assert waited == pytest.approx([0.15, 0.1, 0.05])
     assert robots.sense().time_s[0] == pytest.approx(0.2)
     robots.close()
@@ -116,6 +118,7 @@ def test_clock_that_goes_back_is_an_error(monkeypatch: pytest.MonkeyPatch) -> No
     robots = ConnectedRobot("sim:thesis_room?step_s=0.05")
     robots.step(1.0)
     refresh = Robot.refresh
+    # The robot reports an earlier clock, as after a restart.
     monkeypatch.setattr(Robot, "refresh", lambda robot: replace(refresh(robot), clock_ms=10))
     with pytest.raises(ConnectionLost, match="clock"):
         robots.step(1.0)

@@ -108,6 +108,7 @@ def test_rewards_add_up_to_the_distance_and_success() -> None:
     env = in_room(goal_m=(0.6, 0.0))
     env.reset(seed=1, options={"start_m": (0.0, 0.0, 0.0)})
     rewards, terminated = [], False
+    # Ahead at 0.2 m/s until the goal's radius is reached.
     while not terminated:
         _, reward, terminated, truncated, info = env.step(np.array([0.2, 0.0], dtype=np.float32))
         rewards.append(reward)
@@ -124,6 +125,7 @@ def test_contact_ends_an_episode_with_a_penalty() -> None:
     _, reward, terminated, _, info = env.step(np.array([0.3, 0.0], dtype=np.float32))
     assert terminated
     assert not info["is_success"]
+    # -1 for the contact, and the distance to the goal has grown by the path to the wall.
     assert reward == pytest.approx(-1.0 - (0.3 - 9.72 * 0.0254), abs=1e-3)
 
 
@@ -141,6 +143,7 @@ def test_explore_sees_cells_before_walls_only() -> None:
 
 
 def test_beams_begin_at_the_mounts_of_their_sonars() -> None:
+    # One sonar is shifted by its mount, one is not.
     ring = replace(nomad_ring(6.0), angles_rad=(pi / 2, 0.0), shifts_in=((2.0, -3.0), (0.0, 0.0)))
     turret, along = 0.4, 10.0
     points = beam_points(ring, np.array([[5.0, 7.0, 0.0, turret]]), np.array([along]))[:, 0, :, 0]

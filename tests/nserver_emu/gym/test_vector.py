@@ -56,6 +56,7 @@ def test_next_step_resets_a_robot_whose_episode_ended() -> None:
     assert ended.tolist() == [True, False]
     assert rewards[0] < -0.9
     time_s = rows["time"][1, 0]
+    # Robot 1 begins anew in this step, whatever its action; robot 2 continues.
     rows, rewards, ended, cut, _ = env.step(np.full((2, 2), 0.3, dtype=np.float32))
     assert rows["time"][:, 0].tolist() == pytest.approx([0.0, time_s + 0.2])
     assert rewards[0] == 0.0

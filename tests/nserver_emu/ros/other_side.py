@@ -26,6 +26,7 @@ _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 def free_domain() -> int:
     """Return a domain of this process's own, as the tests run in several."""
+    # Domains end at 232; processes of one machine rarely share one.
     return 1 + os.getpid() % 231
 
 
@@ -58,4 +59,5 @@ def take_bytes(reader: DataReader[Any]) -> list[bytes]:
 
 def is_cdr(message: bytes, expected: bytes) -> bool:
     """Return True if a message is these bytes and those that fill its last word."""
+    # CDR is padded to words of four bytes.
     return message == expected + bytes(-len(expected) % 4)

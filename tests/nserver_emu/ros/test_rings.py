@@ -32,6 +32,7 @@ max_range_m = 1.3
 no_echo_m = 5.11
 resolution_cm = 1
 """)
+# Five sonars at equal angles, but not all around.
 EVEN = model("angles_deg = [-60, -30, 0, 30, 60]")
 
 
@@ -61,6 +62,7 @@ async def test_unequal_angles_have_ranges_and_frames() -> None:
         expected = math.inf if reading_in * 0.0254 == pytest.approx(5.11) else reading_in * 0.0254
         assert message["range"] == pytest.approx(expected)
     measured = [one["range"] for one in ranges if math.isfinite(one["range"])]
+    # Some sonars have an echo within 1.3 m, not all.
     assert 0 < len(measured) < 3
     assert all(one * 100 == pytest.approx(round(one * 100)) for one in measured)
     assert ranges[0]["field_of_view"] == pytest.approx(math.radians(30.0))
@@ -69,6 +71,7 @@ async def test_unequal_angles_have_ranges_and_frames() -> None:
     frames = [one["transform"] for one in found["/tf_static"]["transforms"]]
     places = [(one["translation"]["x"], one["translation"]["y"]) for one in frames]
     assert places == [pytest.approx((x * 0.0254, y * 0.0254)) for x, y in ((2, -8), (10, 1), (0, 9))]
+    # Yaw of a quaternion without roll and pitch.
     turns = [2.0 * math.atan2(one["rotation"]["z"], one["rotation"]["w"]) for one in frames]
     assert turns == pytest.approx([math.radians(angle) for angle in (-90, 0, 100)])
 

@@ -36,6 +36,7 @@ from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import World
 
 TIMEOUT_S = 20.0
+# A domain of this process: other tests publish at the same time.
 DOMAIN = free_domain()
 ODOMETRY, SCAN, RANGE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
 FRAMES, GRID = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
@@ -66,6 +67,7 @@ class Served(OtherSide):
         reader = self.reader(name, kind, qos)
         (data, *_) = await self.until(lambda: take_bytes(reader))
         message = decode(data, kind)
+        # The same bytes as an independent encoder writes.
         assert is_cdr(data, bytes(TYPES.store.serialize_cdr(message, kind)))
         return message
 
@@ -104,6 +106,7 @@ async def test_topics_have_units_and_frames() -> None:
         assert (one.header.frame_id, one.range) == ("robot1/sonar_3", pytest.approx(scan.ranges[3] - ring_m))
         volts = await here.next("/robot1/battery", "sensor_msgs/msg/BatteryState")
         assert 10 < volts.voltage < 13
+        # BatteryState has NaN for quantities that are not measured.
         assert math.isnan(volts.current)
         frames = (await here.next("/tf", FRAMES)).transforms
         assert [one.child_frame_id for one in frames] == ["robot1/base_link", "robot1/turret"]
@@ -121,6 +124,7 @@ async def test_map_is_kept_for_late_subscribers_and_follows_the_world() -> None:
         simulated = here.daemon.emulator.simulation
         simulated.change_world(simulated.world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0)))
         (data, *_) = await here.until(lambda: take_bytes(reader))
+        # A new wall has more occupied cells.
         assert sum(decode(data, GRID).data == 100) > sum(grid.data == 100)
 
 
@@ -142,8 +146,10 @@ async def test_quality_of_service_is_that_of_ros_2() -> None:
             found_writer = reader.get_matched_publication_data(handle)
             assert found_writer is not None
             policies = set(found_writer.qos)
+            # The hash lets ROS 2 nodes check that both sides have the same message type.
             assert Policy.Userdata(f"typehash={TYPES.type_hash(kind)};".encode()) in policies
             found[name] = Policy.Reliability.BestEffort not in policies, Policy.Durability.TransientLocal in policies
+        # Reliable or not, and stored for late subscribers or not.
         state, sensor = (True, False), (False, False)
         expected = [state, sensor, sensor, state, (True, True)]
         assert list(found.values()) == expected
@@ -162,6 +168,7 @@ async def test_robot_stops_when_its_publisher_leaves() -> None:
         (found, *_) = await here.until(velocities)
         assert found.linear.x == pytest.approx(0.127)
         assert found.angular.z == pytest.approx(0.2, abs=0.002)
+        # A last message, then the writer is deleted: its end must stop the robot before the timeout does.
         writers[0].write(twist(0.127))
         writers.clear()
         await here.until(lambda: not any(here.robot.moving))
@@ -203,6 +210,7 @@ async def test_wrong_velocities_are_logged(caplog: pytest.LogCaptureFixture) -> 
         for _ in range(10):
             await here.until(lambda: writer.write(twist(math.nan)) or "is nan" in caplog.text)
             await asyncio.sleep(0.02)
+        # NaN is published ten times and logged once.
         assert caplog.text.count("is nan") == 1
         assert not any(here.robot.moving)
         here.daemon.hold([1], "a test")
@@ -232,6 +240,7 @@ async def test_estimates_are_poses_in_the_map() -> None:
         await here.until(poses.get_matched_publications)
         await here.until(lambda: take_bytes(frames))
         here.estimates.add(1, parse_estimate(json.dumps(ESTIMATE)))
+        # 10 in are 0.254 m.
         (data, *_) = await here.until(lambda: take_bytes(poses))
         found = decode(data, POSE)
         assert (found.header.frame_id, found.pose.covariance[35]) == ("map", 0.01)
@@ -248,6 +257,7 @@ def test_times_follow_the_robots_clock() -> None:
     """Delays of the line do not move them; a clock that is set, or stands still, begins anew."""
     clock = RobotClock()
     delays_s = [0.2, 0.01, 0.3, 0.0, 0.5]
+    # The clock of the robot advances by 0.1 s; messages arrive late by up to 0.5 s.
     times = [clock.time_ns(k * 0.1, 1000 + k * 0.1 + delay) / 1e9 for k, delay in enumerate(delays_s)]
     assert times == pytest.approx([1000.2, 1000.11, 1000.21, 1000.3, 1000.4], abs=1e-3)
     assert clock.past_time_ns(0.1, 1000.5) / 1e9 == pytest.approx(1000.1, abs=1e-3)

@@ -46,6 +46,7 @@ def test_other_process_drives_and_is_killed(environment: dict[str, str]) -> None
             driver = subprocess.Popen(program, env=environment, stdout=subprocess.PIPE)
             assert driver.stdout is not None
             assert driver.stdout.readline() == b"moved\n"
+            # SIGKILL: nothing is published any more, so the robot stops by the drive timeout.
             driver.kill()
             driver.communicate()
             with connect(robot) as watcher:
@@ -64,6 +65,7 @@ def test_tools_of_cyclone_dds(environment: dict[str, str]) -> None:
         started(bridge)
         domain = ("--id", DOMAIN)
         listed = shown("ls", *domain, "--suppress-progress-bar")
+        # Names as DDS has them: rt/ in front of topics, dds_ in types.
         for name in ("rt/robot1/odom", "nav_msgs::msg::dds_::Odometry_", "rt/tf_static", "rt/map", "rt/robot1/cmd_vel"):
             assert name in listed
         assert str(bridge.pid) in shown("ps", *domain, "--suppress-progress-bar")
@@ -79,6 +81,7 @@ def test_tools_of_cyclone_dds(environment: dict[str, str]) -> None:
 @pytest.mark.parametrize(("words", "variables", "code", "text"), [
     (["nserver://127.0.0.1:1"], {}, 1, "127.0.0.1:1"),
     (["sim:", "--interface", "no_such_0"], {}, 1, "network interface"),
+    # Domains are 0 to 232.
     (["sim:"], {"ROS_DOMAIN_ID": "233"}, 2, "ROS_DOMAIN_ID"),
     (["sim:", "--rosbridge", "x"], {}, 2, "--rosbridge"),
     (["sim:", "--distro", "jazy"], {}, 2, "jazzy"),

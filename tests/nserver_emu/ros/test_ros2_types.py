@@ -20,6 +20,7 @@ from worlds.robots import N150
 
 JAZZY = RosTypes("jazzy")
 TYPES = sorted({*topics.topic_types({1: N150.ring}).values(), *topics.command_types([1]).values(), ros_messages.TEXT})
+# NaN is drawn as one fixed value, since encoders may write other bits of NaN.
 NUMBERS: dict[str, Any] = {
     "bool": st.booleans(), "int8": st.integers(-128, 127), "uint8": st.integers(0, 255),
     "int32": st.integers(-(2**31), 2**31 - 1), "uint32": st.integers(0, 2**32 - 1),
@@ -58,6 +59,7 @@ def cdr_by_rosbags(types: RosTypes, name: str, message: dict[str, Any]) -> bytes
 @given(data=st.data())
 def test_bytes_are_those_of_rosbags(name: str, data: st.DataObject) -> None:
     message = data.draw(messages_of(JAZZY, name))
+    # Version 1 of XCDR, which ROS 2 uses.
     written = JAZZY.builder.build(name, message).serialize(use_version_2=False)
     assert written == cdr_by_rosbags(JAZZY, name, message)
     again = JAZZY.dds_type(name).deserialize(written)
@@ -77,6 +79,7 @@ def test_every_distribution_has_the_types(distro: str) -> None:
 
 def test_names_are_those_of_ros_2() -> None:
     assert JAZZY.dds_type(ros_messages.ODOMETRY).__idl_typename__ == "nav_msgs.msg.dds_.Odometry_"
+    # ROS 2 prefixes topics with rt; a name part must not begin with a digit.
     assert topic_in_dds("/robot1/odom") == "rt/robot1/odom"
     assert topic_in_dds("/robot12/sonar/3") == "rt/robot12/sonar_3"
 

@@ -137,6 +137,7 @@ async def test_topics_have_units_and_frames() -> None:
         assert [one["child_frame_id"] for one in fixed] == [f"robot1/sonar_{k}" for k in range(16)]
         fourth = fixed[4]["transform"]
         assert fourth["translation"]["y"] == pytest.approx(ring_m)
+        # Sonar 4 is at 90 deg: the quaternion's z is sin(45 deg).
         assert fourth["rotation"]["z"] == pytest.approx(math.sin(math.pi / 4))
         grid = await client.topic("/map", "nav_msgs/OccupancyGrid")
         assert len(grid["data"]) == grid["info"]["width"] * grid["info"]["height"]
@@ -146,10 +147,12 @@ async def test_topics_have_units_and_frames() -> None:
 async def test_velocities_drive_and_must_be_repeated() -> None:
     async with serve() as here, here.client() as client:
         await client.send("advertise", topic="/robot1/cmd_vel", type="geometry_msgs/Twist")
+        # 0.127 m/s are 5 in/s, an even number of tenths.
         await client.drive(0.127, 0.2)
         await here.until(lambda: any(here.robot.moving))
         twist = (await client.topic("/robot1/odom", "nav_msgs/Odometry"))["twist"]["twist"]
         assert (twist["linear"]["x"], twist["angular"]["z"]) == (pytest.approx(0.127), pytest.approx(0.2, abs=0.002))
+        # From here on nothing is published: the robot stops by the drive timeout.
         silent_s = asyncio.get_running_loop().time()
         await here.until(lambda: not any(here.robot.moving))
         assert asyncio.get_running_loop().time() - silent_s < DRIVE_TIMEOUT_S + 1.0
@@ -164,12 +167,14 @@ async def test_vanished_client_stops_its_robot() -> None:
             connection = client.socket._response.connection
             assert connection is not None
             assert connection.transport is not None
+            # The TCP connection ends without a close frame.
             connection.transport.abort()
         await here.until(lambda: not any(here.robot.moving))
 
 
 async def test_throttle_and_unsubscribe() -> None:
     async with serve() as here, here.client() as client:
+        # At most one message in 200 ms.
         await client.send("subscribe", id="a", topic="/robot1/odom", throttle_rate=200)
         times = []
         for _ in range(4):
@@ -180,6 +185,7 @@ async def test_throttle_and_unsubscribe() -> None:
         await client.send("unsubscribe", id="a", topic="/robot1/odom")
         await client.send("call_service", service="/rosapi/services", id="s")
         assert (await client.next("service_response"))["id"] == "s"
+        # After the unsubscription nothing comes any more.
         with pytest.raises(asyncio.TimeoutError):
             async with asyncio.timeout(0.15):
                 await client.socket.receive_str()
@@ -207,6 +213,7 @@ TWIST = {"topic": "/robot1/cmd_vel"}
 
 @pytest.mark.parametrize(("message", "text"), [
     ("hello", "JSON object"),
+    # Deeper than Python's recursion limit.
     ("[" * 100_000, "JSON object"),
     ({"op": "fly"}, "no operation"),
     ({"op": "subscribe"}, "topic is missing"),
@@ -218,6 +225,7 @@ TWIST = {"topic": "/robot1/cmd_vel"}
     ({"op": "advertise", "topic": "/tf"}, "takes messages"),
     ({"op": "set_level", "level": "loud"}, "level"),
     ({"op": "publish", **TWIST, "msg": {"linear": {"x": "fast"}}}, "linear.x"),
+    # Numbers beyond a float, and an integer that no float can hold.
     ({"op": "publish", **TWIST, "msg": {"linear": {"x": 1e999}}}, "linear.x"),
     ({"op": "publish", **TWIST, "msg": {"linear": {"x": 10**400}}}, "linear.x"),
     ({"op": "publish", **TWIST, "msg": {"angular": 3}}, "angular.z"),
@@ -245,6 +253,7 @@ async def test_only_texts_are_ids(number: Any) -> None:
 
 async def test_long_message_closes_the_connection() -> None:
     async with serve() as here, here.client() as client:
+        # The id alone is as long as the longest message.
         await client.send("call_service", service="/rosapi/services", id="x" * MAX_MESSAGE)
         assert (await client.socket.receive()).type is aiohttp.WSMsgType.CLOSE
         assert client.socket.close_code == aiohttp.WSCloseCode.MESSAGE_TOO_BIG
@@ -270,6 +279,7 @@ def client_alone() -> tuple[RosbridgeClient, DrivenRobots]:
 
 def test_subscriptions_are_limited_by_their_ids() -> None:
     client, _ = client_alone()
+    # One more than allowed, each under its own id.
     for number in range(MAX_SUBSCRIPTIONS + 1):
         client.handle(json.dumps({"op": "subscribe", "topic": "/tf", "id": str(number)}), 0.0)
     assert len(client.subscriptions["/tf"].throttles_s) == MAX_SUBSCRIPTIONS
@@ -280,6 +290,7 @@ def test_subscriptions_are_limited_by_their_ids() -> None:
 
 def test_late_velocities_only_stop() -> None:
     client, robots = client_alone()
+    # A velocity that waited too long is refused; a stop is executed however late.
     for speed in (0.1, 0.0):
         message = {"op": "publish", **TWIST, "msg": {"linear": {"x": speed}}}
         client.handle(json.dumps(message), 0.0, is_late=True)
@@ -320,6 +331,7 @@ def test_large_worlds_have_larger_cells() -> None:
     room = load_world("thesis_room")
     assert map_cell_in(room) == MAP_CELL_IN
     large = World("large", inner_walls=np.array([[0.0, 0.0, 1e5, 0.0], [0.0, 0.0, 0.0, 1e5]]))
+    # Cells are larger in a large world, so that their number is bounded.
     assert (1e5 / map_cell_in(large)) ** 2 <= MAX_MAP_CELLS
 
 
@@ -422,6 +434,7 @@ async def test_published_estimates_are_poses_in_the_map() -> None:
             assert answer.status == 200, await answer.text()
         found = (await client.next("publish"))["msg"]
         assert found["header"]["frame_id"] == "map"
+        # 10 in; covariances in square metres. Index 7 is (y, y) and 35 (yaw, yaw) of the 6 x 6 matrix.
         assert found["pose"]["pose"]["position"]["x"] == pytest.approx(0.254)
         assert found["pose"]["covariance"][7] == pytest.approx(4 * 0.0254**2)
         assert found["pose"]["covariance"][35] == 0.01
@@ -443,6 +456,7 @@ async def test_published_estimates_are_poses_in_the_map() -> None:
 def test_readings_at_the_limits() -> None:
     """REP-117: -inf nearer than a sonar measures, +inf without an echo; JSON has the least range, and null."""
     state = [255] * 45
+    # 6 in or less, 7 in, and no echo up to 255 in.
     state[17:20] = 6, 7, 255
     found = dict(topics.messages_of(Reading(1, state, False, 0, ring=nomad_ring(0.25 / 0.0254))))
     scan = found["/robot1/sonar"]
@@ -456,17 +470,20 @@ def test_readings_at_the_limits() -> None:
 
 def test_wheels_of_a_scout() -> None:
     """Its velocities are those of the wheels, in both directions."""
+    # Both directions: velocities to wheels, and wheels back to velocities.
     args = topics.velocities({"linear": {"x": 0.127}, "angular": {"z": 0.5}}, True)
     state = [0] * 45
     state[38:40] = args[:2]
     speed, turn = Reading(1, state, True, 0).velocity
     assert speed == pytest.approx(0.127, abs=0.002)
     assert turn == pytest.approx(0.5, abs=0.02)
+    # A left turn: the right wheel is faster.
     assert args[0] > args[1]
     assert topics.velocities({"linear": {"x": 1e9}}, False) == [32767, 0, 0]
     assert topics.velocities({"linear": {"x": -1e308}, "angular": {"z": 1e308}}, True)[1] == -32767
 
 
+# An independent client library, which does not share this project's reading of the protocol.
 ROSLIBPY = """
 import sys, threading, roslibpy
 ros = roslibpy.Ros(sys.argv[1])

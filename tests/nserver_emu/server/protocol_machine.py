@@ -70,6 +70,7 @@ WORLD = parse_world(
     "machine.toml",
     "machine",
 )
+# Far enough apart that neither robot touches anything at its start, near enough that both meet within some steps.
 STARTS = {1: StartPose(40.0, 40.0), 2: StartPose(120.0, 40.0)}
 STEP_S = 0.05
 PORT = 7019
@@ -82,6 +83,7 @@ MOTION = Mask((*[0] * 38, 1, 1, 1, *[0] * 3))
 RESETTING = frozenset({"zr", "dp", "da", "place_robot"})
 """Commands after which counts or coordinates of the encoders begin anew."""
 
+# Tenths per second: beyond the top speed of translation, 20 in/s, so that clamping is tested.
 velocity = st.integers(-300, 300)
 distance = st.integers(-900, 900)
 flag = st.integers(0, 1)
@@ -94,6 +96,7 @@ def corners(x: int, y: int, size: int) -> tuple[int, ...]:
 
 obstacle = st.builds(corners, far, high, st.integers(50, 400))
 CALLS: dict[str, st.SearchStrategy[tuple[int, ...]]] = {
+    # Durations are short (ws at most 3 s, conf_tm at most 2 s), so that waits and timeouts end within a few steps.
     "vm": st.tuples(velocity, velocity, velocity),
     "pr": st.tuples(distance, distance, distance),
     "pa": st.tuples(distance, distance, distance),
@@ -124,6 +127,7 @@ look = calls("gs", "gs", "get_rc", "get_bp", "get_sn", "ws")
 anything = calls(*CALLS)
 client = st.integers(0, 2)
 PLANS = {
+    # One plan that delays replies and one that closes connections in mid-reply.
     "none": Plan(),
     "late": Plan((Rule("late", (Delay(0.3),), commands=("gs", "vm")),)),
     "hang up": Plan((Rule("gone", (HangUp(3),), When(every=4), commands=("get_rc", "gs")),)),
@@ -151,6 +155,7 @@ class ManualLoop(asyncio.SelectorEventLoop):
     def turns(self, count: int) -> None:
         """Run so many turns."""
         for _ in range(count):
+            # `stop` is queued behind the callbacks that are ready now, so `run_forever` runs exactly these, one turn.
             self.call_soon(self.stop)
             self.run_forever()
 
@@ -208,6 +213,7 @@ class Peer(asyncio.Transport):
             self._loop.call_soon(self._deliver)
 
     def close(self) -> None:
+        # As in asyncio, `connection_lost` is called in a later turn, not inside `close`.
         if not self.closing:
             self.closing = True
             self._loop.call_soon(self._lose)
@@ -220,6 +226,7 @@ class Peer(asyncio.Transport):
 
     def _deliver(self) -> None:
         if self._reads and not self.closing and self._waiting:
+            # At most 4096 bytes a turn, the size of the connection's receive buffer; the rest follows in later turns.
             data, self._waiting = self._waiting[:4096], self._waiting[4096:]
             self.connection.get_buffer(-1)[: len(data)] = data
             self.connection.buffer_updated(len(data))
@@ -233,6 +240,7 @@ class Peer(asyncio.Transport):
 
     def send(self, made: Call) -> None:
         self.sent.append(made.name)
+        # The client's own view of mask and laser mode, from which it derives the layout of replies.
         codec.update_from_request(made, self.wire_state)
         self.send_bytes(codec.encode_tcp_request(made))
 
@@ -248,12 +256,15 @@ class Witness:
         self._handler, self._machine = handler, machine
 
     def answer(self, made: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        # The model is updated before and after the handler, so that both see the state of the simulation at that
+        # time.
         self._machine.before_call(made, context)
         reply = self._handler.answer(made, context)
         self._machine.after_call(made, context, reply)
         if isinstance(reply, Reply):
             return reply
 
+        # A deferred reply is polled until it exists. Each poll counts as activity: a client that waits cannot send.
         def poll() -> Reply | None:
             self._machine.note_alive(context)
             return reply()
@@ -353,6 +364,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         peer = self.peers[number]
         if peer is None:
             peer = self.peers[number] = self.open_peer(number)
+        # The second argument is the client's process id; any number but 0 is valid.
         peer.send(Call("connect_robot", (robot, 100 + number)))
         self.pump()
 
@@ -386,6 +398,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         if how == "disconnect":
             peer.send_bytes(codec.encode_tcp_request(Call("disconnect_robot", (1, 100))))
         else:
+            # Without DISCONNECT, optionally with the last three bytes of a request missing.
             if how == "in mid-request":
                 peer.send_bytes(codec.encode_tcp_request(made)[:-3])
                 self.loop.turns(2)
@@ -423,6 +436,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     @rule(number=client, seconds=st.sampled_from([0.0, 0.4]))
     def stop_reading(self, number: int, seconds: float) -> None:
         peer = self.peer_of(number)
+        # `pause_writing` is what asyncio calls when the client leaves too many replies unread.
         self.call_in_loop(peer.connection.pause_writing)
         peer.send(Call("gs"))
         self.pass_time(seconds)
@@ -445,6 +459,7 @@ class ProtocolMachine(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([0.0, 0.5]), made=motion, number=client)
     def pause(self, seconds: float, made: Call, number: int) -> None:
+        # A motion that arrives while time stands still starts with the next step.
         self.control("pause")
         self.peer_of(number).send(made)
         self.pump()
@@ -460,6 +475,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         self.peer_of(number).send(Call("conf_tm", (1,)))
         self.peer_of(number).send(made)
         self.pump()
+        # Six steps of 0.25 s, longer than the timeout of 1 s; the queries of the observer must not restart it.
         for _ in range(6):
             self.control("step", 0.25)
             self.peer_of(observer).send(Call("gs"))
@@ -509,6 +525,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def pump(self, *, clock: bool = False) -> None:
         """Run the loop until nothing happens any more, and read the replies."""
         before = -1
+        # A turn may cause work for the next one, so turns are run until no request is answered any more.
         while before != (before := self.progress()):
             self.loop.turns(3)
             if self.proxy is not None:
@@ -518,6 +535,7 @@ class ProtocolMachine(RuleBasedStateMachine):
             self.loop.turns(3)
             if self.proxy is not None:
                 self.call_in_loop(self.run_gateway)
+        # Replies are read here and compared with what was recorded when their requests were executed.
         for peer in [*self.peers, *self.others]:
             if peer is not None:
                 self.read(peer)
@@ -547,6 +565,7 @@ class ProtocolMachine(RuleBasedStateMachine):
     def watched_by(self, context: ConnectionContext) -> Watched | None:
         """Return the robot that a connection's commands go to; None if there is none."""
         robot_id = context.robot_id
+        # While robot 1 of the gateway is switched to its simulation, its commands reach no watched robot.
         if robot_id == 1 and self.proxy is not None and not self.proxy.active:
             return None
         return None if robot_id is None else self.watched[robot_id]
@@ -578,6 +597,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         if (watched := self.watched_by(context)) is None or refused:
             return
         # 1. Who drives which axis.
+        # Modes 1, 2 and 3 of mv move an axis or release it; 0, 4 and 5 do not, and do not make the client its owner.
         axes = [axis for axis in AXES if made.name == "mv" and made.args[2 * axis] in (1, 2, 3)]
         if made.name in ("vm", "pr", "pa", "st", "lp", "zr"):
             axes = list(AXES)
@@ -603,10 +623,13 @@ class ProtocolMachine(RuleBasedStateMachine):
         for frame in peer.framer.receive(data):
             assert isinstance(frame, TcpFrame), frame
             assert peer.sent, f"a reply to nothing: {frame}"
+            # One reply per request, in order: the reply belongs to the oldest request without one.
             name = peer.sent.popleft()
             row = BY_NAME[name]
             assert frame.type in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]), (name, frame)
             reply = codec.decode_tcp_reply(row, frame, peer.wire_state)
+            # The handler recorded one entry per executed request; requests before CONNECT are answered by the session
+            # alone.
             states = self.states.get(peer.context)
             is_executed = reply != Reply("error", values=(NOT_CONNECTED,))
             state = states.popleft() if states and is_executed else None
@@ -622,9 +645,12 @@ class ProtocolMachine(RuleBasedStateMachine):
     def encoders_and_motor_bits_agree_with_motion(self) -> None:
         ProtocolMachine.steps += 1
         for watched in self.watched.values():
+            # 1. What may have changed since the last observation is bounded by the time that has passed.
             robot, span_s = watched.robot, watched.simulation.time_s - watched.time_s
             slots = StateSnapshot(robot, 0).slots(MOTION)
+            # 2. Bit k of State[41] is set exactly while axis k moves.
             assert slots[41] & 0b111 == sum(bit << axis for axis, bit in enumerate(robot.moving))
+            # 3. Each axis: no faster than its top speed, velocity 0 at rest, and counts that agree with the velocity.
             for axis in AXES:
                 travelled = robot.counts[axis] - watched.counts[axis]
                 limit = robot.model.axes[axis].top_speed
@@ -634,14 +660,17 @@ class ProtocolMachine(RuleBasedStateMachine):
                 if watched.reset:
                     continue
                 assert abs(travelled) <= limit * span_s + 1e-6
+                # Without a command an axis at rest stays at rest, and a moving one travels velocity x time.
                 if not watched.commanded and not watched.moved[axis]:
                     assert travelled == 0.0
                 if not watched.commanded and robot.moving[axis]:
                     expected = watched.velocities[axis] * span_s
                     assert robot.zeroing or abs(travelled - expected) < 1e-6
+            # 4. The robot itself moves no farther than its fastest axis allows.
             if not watched.reset:
                 moved_in = hypot(robot.actual.x_in - watched.actual.x_in, robot.actual.y_in - watched.actual.y_in)
                 assert moved_in <= max(axis.top_speed for axis in robot.model.axes) * span_s + 1e-6
+            # 5. Without noise, dp and da the encoders and the actual pose are the same.
             if watched.has_true_encoders:
                 for counted, actual in zip(robot.encoder[:3], robot.actual[:3], strict=True):
                     assert isclose(counted, actual, rel_tol=1e-5, abs_tol=1e-6)
@@ -652,6 +681,7 @@ class ProtocolMachine(RuleBasedStateMachine):
         for watched in self.watched.values():
             robot, world = watched.robot, watched.simulation.world
             x, y, radius_in = robot.disc
+            # The oracle: distance from the robot's disc to the nearest wall or other robot.
             gap = min(distance_to_segment(x, y, *wall) for wall in world.walls.tolist()) - radius_in
             for number, other in watched.simulation.robots.items():
                 if number != watched.number:
@@ -669,6 +699,7 @@ class ProtocolMachine(RuleBasedStateMachine):
 
     @invariant()
     def silent_drivers_are_stopped(self) -> None:
+        # A client that waits for a deferred reply (ws, zr) restarts the timeout as long as it waits.
         waiting = {peer.context for peer in (*self.peers, *self.others) if peer and peer.connection.session.waiting}
         for number, watched in self.watched.items():
             if number == 1 and self.proxy is not None:

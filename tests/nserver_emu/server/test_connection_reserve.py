@@ -47,6 +47,7 @@ def may_close(connection: ReservableConnection) -> bool:
 
 
 def reserve(connections: int = 3, per_address: int = 3) -> ConnectionReserve:
+    # Three connections at most, or three from one address.
     return ConnectionReserve(AdmissionControl(Limits(connections=connections, per_address=per_address)), may_close)
 
 
@@ -57,18 +58,21 @@ def test_the_longest_idle_connection_makes_room() -> None:
 
 
 def test_a_connection_that_moves_a_robot_stays() -> None:
+    # The longest idle one moves a robot, so the next is closed.
     present = [Connection(idle_s=1000.0, moves=True), Connection(idle_s=MIN_IDLE_S), Connection()]
     assert reserve().make_room("127.0.0.1", present, 100.0)
     assert [bool(one.reasons) for one in present] == [False, True, False]
 
 
 def test_one_address_makes_room_from_its_own_connections() -> None:
+    # Limit of one address: only its own connections may be closed, not the longer idle one of another.
     present = [Connection("10.0.0.2", idle_s=1000.0), Connection(idle_s=MIN_IDLE_S), Connection()]
     assert reserve(connections=9, per_address=2).make_room("127.0.0.1", present, 100.0)
     assert [bool(one.reasons) for one in present] == [False, True, False]
 
 
 def test_busy_connections_leave_the_reserve() -> None:
+    # The limit is reached, and none of the connections is idle.
     present = [Connection(opened_s=float(number)) for number in range(3)]
     late = [Connection(opened_s=10.0 + number) for number in range(RESERVED_CONNECTIONS)]
     places = reserve()
@@ -81,12 +85,14 @@ def test_busy_connections_leave_the_reserve() -> None:
 
 
 def test_places_of_the_reserve_are_for_a_short_time() -> None:
+    # Four connections at a limit of three: the last one is in the reserve.
     present = [Connection(), Connection(opened_s=1.0), Connection(opened_s=2.0), Connection(opened_s=3.0)]
     places = reserve()
     places.check(present, 3.0 + 0.9 * RESERVED_S)
     assert not any(one.reasons for one in present)
     places.check(present, 3.0 + RESERVED_S)
     assert [bool(one.reasons) for one in present] == [False, False, False, True]
+    # An idle connection is closed instead of the one in the reserve.
     present[1].idle_s = MIN_IDLE_S
     places.check([*present[:3], Connection(opened_s=4.0)], 6.0)
     assert present[1].reasons, "it is idle by now"
@@ -99,6 +105,7 @@ def test_places_of_the_reserve_are_for_a_short_time() -> None:
 async def test_a_stop_gets_through_300_idle_connections(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(admission, "MIN_IDLE_S", 0.0)
     async with running_server() as server:
+        # 30 connections of one address, the limit: the 31st takes the place of the longest idle one.
         server.daemon.admission.limits = Limits(per_address=30)
         driver = await server.connect_client()
         await driver.ask("vm", 0, 0, 100)
@@ -130,10 +137,13 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
     with socket.create_server(("127.0.0.1", 0)) as port:
         port.setblocking(False)
         clients = [socket.create_connection(port.getsockname()) for _ in range(3)]
+        # The error that asyncio reports if accept() has no free descriptor; its spare descriptors must be used again
+        # in the second round.
         error = OSError(errno.EMFILE, "Too many open files")
         for _ in range(2):
             handler(loop, {"message": "socket.accept() out of system resource", "exception": error, "socket": port})
         for client in clients:
+            # An end of file: the connection was accepted and closed, so the client does not wait.
             with client:
                 assert client.recv(1) == b""
     assert caplog.messages == ["no connection can be accepted for a second: Too many open files"] * 2
@@ -151,6 +161,7 @@ def test_without_descriptors_waiting_connections_are_closed(caplog: pytest.LogCa
 
 @pytest.mark.long
 def test_64_descriptors_are_no_tracebacks() -> None:
+    # 64 descriptors for the daemon, and 100 connections.
     command = ["sh", "-c", 'ulimit -n 64; exec "$0" -m nserver_emu --port 0', sys.executable]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -74,12 +74,14 @@ async def faulty_daemon(
 
 @pytest.mark.long
 async def test_delayed_replies_stay_complete_and_in_order() -> None:
+    # More replies than the channel holds (16 KB), each delayed by 0.3 s.
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
     async with faulty_daemon(late) as (daemon, open_client):
         flooding, other = await open_client(), await open_client()
         flooding.send(*[Call("gs"), Call("get_rc")] * count)
         other.send(Call("st"))
         assert await other.types(1) == [80]
+        # 80 state, 88 configuration: in the order of the requests.
         assert await flooding.types(2 * count) == [80, 88] * count
         assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
@@ -87,6 +89,7 @@ async def test_delayed_replies_stay_complete_and_in_order() -> None:
 async def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
     """Twenty answers with a laser's columns exceed the transit limit, and none is late."""
     plan = Plan((Rule("late", (Delay(0.01),), commands=("get_rc",)),))
+    # 482 points of two words each make a reply of some 4 KB: twenty exceed the 16 KB of a channel.
     laser = Simulation(load_world("thesis_room"))
     laser.add_robot(1, ORIGIN, N200)
     async with faulty_daemon(plan, laser) as (daemon, open_client):
@@ -102,6 +105,7 @@ async def test_a_briefly_full_channel_does_not_suspend_reading() -> None:
 
 @pytest.mark.parametrize("wide", [False, True])
 async def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
+    # Every second vm is answered by an error of the fault injector; the session itself refuses none.
     plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
     async with faulty_daemon(plan) as (daemon, open_client):
         client = await open_client(wide)
@@ -118,6 +122,7 @@ async def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
     plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
     async with faulty_daemon(None) as (daemon, open_client):
         client = await open_client(wide)
+        # Clearing the plan under an open connection takes effect with the next request.
         for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
             if in_force:
                 daemon.faults.put(plan, daemon.lines())
@@ -128,6 +133,7 @@ async def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
 
 
 async def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
+    # Byte 0 is the high byte of the type: the message is then of an unknown type.
     plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
     async with faulty_daemon(plan) as (_, open_client):
         client = await open_client()

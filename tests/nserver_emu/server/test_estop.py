@@ -22,6 +22,7 @@ from tests.nserver_emu.server.wire_client import meet, simulation
 from worlds.io import load_world
 from worlds.world import StartPose
 
+# Any motion of all axes; mv has pairs of mode and value: 1 velocity, 2 distance.
 MOVING = {
     "vm": (100, 200, 300), "pr": (100, 200, 300), "pa": (100, 200, 300), "mv": (1, 100, 2, 200, 3, 0),
     "zr": (), "lp": (),
@@ -41,6 +42,7 @@ def test_motions_are_refused_and_move_nothing(name: str) -> None:
     before = emulator.simulation.robots[1].actual
     assert client.ask(name, *MOVING[name]) == error_reply(HELD)
     state = client.ask("gs")
+    # Slots 38 to 40 are the velocities, 44 the error word.
     assert [state.slots[slot] for slot in (38, 39, 40, 44)] == [0, 0, 0, HELD]
     assert text_of(client.ask("held_by").values) == "viewer 1"
     emulator.pass_time(2.0)
@@ -54,6 +56,7 @@ def test_a_moving_robot_stops_and_ws_replies() -> None:
     client.ask("vm", 100, 300, 0)
     emulator.pass_time(1.0)
     emulator.hold(1, "viewer 1")
+    # The setup is ideal: axes stop at once, without a ramp.
     at = emulator.simulation.robots[1].actual
     assert client.ask("ws", 1, 1, 1, 60).slots[38] == 0
     emulator.pass_time(1.0)
@@ -74,6 +77,7 @@ def test_silent_hold_of_old_recording_returns_state(name: str) -> None:
 
 def test_line_of_held_robot_carries_the_state_as_before() -> None:
     emulator = held()
+    # On a serial line there is no error reply: the state shows velocities of 0.
     context = ConnectionContext(serial_wire_state(N150), 1)
     reply = emulator.answer(Call("vm", (100, 0, 0)), context)
     assert isinstance(reply, Reply)
@@ -84,6 +88,7 @@ def test_line_of_held_robot_carries_the_state_as_before() -> None:
 def test_stop_ends_a_wait_with_an_error(call: Call) -> None:
     emulator = Emulator(simulation())
     context = ConnectionContext(robot_id=1)
+    # The robot moves, so that ws and zr have something to wait for.
     emulator.answer(Call("vm", (100, 300, 0)), context)
     emulator.pass_time(2.0)
     poll = emulator.answer(call, context)
@@ -109,6 +114,7 @@ def test_all_else_is_done_as_ever() -> None:
     client, _ = meet(emulator)
     for name, args in (
         ("gs", ()), ("st", ()), ("sp", (100, 100, 100)), ("ac", (100, 100, 100)), ("conf_tm", (5,)),
+        # Modes 4 and 5 of mv set limits; velocity 0 is a stop. Neither is a motion.
         ("mv", (4, 100, 5, 100, 0, 0)), ("mv", (1, 0, 1, 0, 2, 0)),
         ("dp", (70, 80)), ("place_robot", (300, 200, 900, 0)),
     ):  # fmt: skip
@@ -122,7 +128,9 @@ def test_all_else_is_done_as_ever() -> None:
 def test_zero_velocities_are_not_counted_as_motion() -> None:
     emulator = held()
     client, _ = meet(emulator)
+    # 1. All velocities 0: executed as a stop, not counted.
     client.ask("vm", 0, 0, 0)
+    # 2. One velocity differs from 0: ignored and counted.
     client.ask("vm", 0, 1, 0)
     assert emulator.estop.as_dict()["1"]["ignored"] == 1
 
@@ -132,6 +140,7 @@ def test_the_first_operator_is_reported_until_release() -> None:
     emulator.hold(1, "viewer 2")
     assert emulator.estop.as_dict()["1"]["by"] == "viewer 1"
     assert emulator.estop.holds[1].operators == {"viewer 1", "viewer 2"}
+    # Releasing twice is no error: two operators may press the button.
     emulator.estop.release(1)
     emulator.estop.release(1)
     assert emulator.estop.as_dict() == {}
@@ -146,11 +155,13 @@ def test_the_arm_stops_and_is_refused() -> None:
     world.add_robot(1, StartPose(0.0, 0.0), N200, IDEAL)
     emulator = Emulator(world)
     context = ConnectionContext(robot_id=1)
+    # Lift 5 in and grip 1 in, both relative (mode 2), in hundredths of an inch.
     emulator.answer(Call("arm_mv", (2, 500, 2, 100)), context)
     emulator.pass_time(0.5)
     emulator.hold(1, "viewer 1")
     emulator.pass_time(1.0)  # it brakes
     at = emulator.arms[1].lift.position_in
+    # Packet type 99 may move anything, so it is refused too.
     for call in (Call("arm_mv", (2, 100, 2, 100)), Call("arm_zr", (0,)), Call("special_request", (99, 1, 2))):
         reply = emulator.answer(call, context)
         assert reply == error_reply(HELD)
@@ -162,11 +173,13 @@ def test_the_arm_stops_and_is_refused() -> None:
 def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     emulator = held()
     client, _ = meet(emulator)
+    # vm with zeros and gs are no motions; pr is the first ignored one, vm the second.
     for name, args in (("vm", (0, 0, 0)), ("gs", ()), ("pr", (100, 0, 0)), ("vm", (50, 0, 0))):
         client.ask(name, *args)
     messages = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     refused = [message for message in messages if "refused:" in message]
     assert [message.split(" (")[0].partition("refused: ")[2] for message in refused] == ["pr: error 7", "vm: error 7"]
+    # Besides these of the session, the emergency stop logs only the first ignored motion.
     messages = [message for message in messages if message not in refused]
     assert len(messages) == 1
     assert messages[0].startswith("robot 1: motion command pr ignored: emergency stop by viewer 1;")

@@ -48,16 +48,19 @@ def test_what_no_rule_strikes_passes_at_once_and_in_order() -> None:
 def test_the_plan_applies_to_both_directions() -> None:
     bench = Bench(rule(Drop()))
     bench.cable.to_robot(GS + VM, 0.0)
+    # The dropped gs is missing in both directions, vm is not matched by the rule.
     bench.cable.to_host(VM + GS, 0.0)
     assert bench.come(0.0) == [Arrival(0.0, VM, True), Arrival(0.0, VM, False)]
     bench.cable.to_robot(VM + VM + VM, 1.0)
     assert bench.come(1.0) == [Arrival(1.0, VM * 3, True)]
+    # `seen` counts the frames that the rule matches: one in each direction.
     assert bench.injector.counts["it"] == {"seen": 2, "drop": 2}
 
 
 def test_a_delay_holds_up_one_direction_and_not_the_other() -> None:
     bench = Bench(rule(Delay(2.0), directions=REQUEST))
     bench.cable.to_robot(GS, 1.0)
+    # A later request without delay must not overtake: order on a line is fixed.
     bench.cable.to_robot(VM, 1.5)
     bench.cable.to_host(GS, 1.5)
     assert bench.come(1.5) == [Arrival(1.5, GS, False)]
@@ -68,6 +71,7 @@ def test_a_delay_holds_up_one_direction_and_not_the_other() -> None:
 
 def test_a_refused_request_is_answered_and_does_not_arrive() -> None:
     bench = Bench(rule(Nak(), directions=REQUEST))
+    # The injector answers in place of the robot.
     bench.cable.to_robot(GS, 1.0)
     assert bench.come(1.0) == [Arrival(1.0, LINE_NAK, False)]
 
@@ -81,6 +85,7 @@ def test_a_new_plan_counts_at_once() -> None:
 
 
 def test_around_a_paced_cable_the_rate_holds() -> None:
+    # The corrupted byte is the checksum; the time of arrival does not change.
     plain, bench = RateLimitedChannel(38400), Bench(rule(Corrupt(place=4)), paced=True)
     for cable in (plain, bench.cable):
         cable.to_robot(GS, 1.0)
@@ -95,6 +100,7 @@ def test_around_a_paced_cable_the_rate_holds() -> None:
 @pytest.mark.parametrize(("paced", "keep"), [(False, 3), (True, 3), (False, 0)])
 def test_a_hang_up_comes_after_what_was_sent_before_it(paced: bool, keep: int) -> None:
     bench = Bench(rule(HangUp(keep)), paced=paced)
+    # The frame is cut after `keep` bytes; what follows it is lost.
     bench.cable.to_host(VM + GS + VM, 1.0)
     arrivals = bench.come(1.0)
     if paced:
@@ -103,6 +109,7 @@ def test_a_hang_up_comes_after_what_was_sent_before_it(paced: bool, keep: int) -
     assert b"".join(arrival.data for arrival in arrivals) == VM + GS[:keep]
     assert [arrival.hang_up for arrival in arrivals][-2:] == [False, True]
     assert bench.cable.due_s is None
+    # After the hang-up the channel serves the next connection.
     bench.cable.to_host(VM, 5.0)
     assert bench.come(6.0)[0].data == VM
 
@@ -110,6 +117,7 @@ def test_a_hang_up_comes_after_what_was_sent_before_it(paced: bool, keep: int) -
 def test_half_a_request_goes_as_it_is_after_a_while_on_a_line() -> None:
     bench = Bench(rule(Drop()))
     bench.cable.to_robot(GS[:4], 1.0)
+    # 0.25 s after its last byte half a request is passed on, as the robot on a real line would receive it.
     assert (bench.come(1.0), bench.cable.due_s) == ([], 1.25)
     assert bench.robot(1.25) == GS[:4]
     assert bench.cable.due_s is None
@@ -121,6 +129,7 @@ def test_half_a_request_goes_as_it_is_after_a_while_on_a_line() -> None:
 
 def test_half_a_request_over_tcp_waits_for_the_rest() -> None:
     bench = Bench(rule(Drop()), tcp=True)
+    # TCP has no such timeout: segments may be far apart.
     bench.cable.to_robot(b"\0\x0c\0", 1.0)
     assert bench.cable.due_s is None
 

@@ -35,6 +35,7 @@ class Ring:
     """An object in a reference cycle."""
 
     def __init__(self) -> None:
+        # Reference counting never frees it; a weak reference shows when the collector has.
         self.whole = self
 
 
@@ -42,6 +43,7 @@ class Ring:
 def test_present_objects_are_exempt_within_the_block() -> None:
     usual = gc.get_threshold()
     with rare_collection():
+        # Frozen objects are not examined by the collector.
         assert gc.get_threshold()[0] == GC_THRESHOLD
         assert gc.get_freeze_count() > 0
     assert gc.get_threshold() == usual
@@ -85,13 +87,16 @@ def test_garbage_is_collected_at_intervals_if_there_is_any() -> None:
     with rare_collection():
         collector, first = GarbageCollector(clock), weakref.ref(Ring())
         create_garbage(2 * MIN_OBJECTS)
+        # 1. Before the interval nothing is collected.
         clock.now_s += 0.9 * MIN_INTERVAL_S
         collector.run()
         assert first() is not None
+        # 2. After 1.1 intervals it is.
         clock.now_s += 0.2 * MIN_INTERVAL_S
         collector.run()
         assert first() is None
         second = weakref.ref(Ring())
+        # 3. The interval is over, but one ring is fewer than MIN_OBJECTS.
         clock.now_s += 2.0 * MIN_INTERVAL_S
         collector.run()
         assert second() is not None
@@ -101,6 +106,7 @@ def test_garbage_is_collected_at_intervals_if_there_is_any() -> None:
 
 
 def test_collection_takes_at_most_a_hundredth_of_the_time() -> None:
+    # Each collection takes 1 s on this clock: it is read once before and once after.
     clock, took_s = Clock(look_s=1.0), 1.0
     with rare_collection():
         collector = GarbageCollector(clock)
@@ -109,6 +115,7 @@ def test_collection_takes_at_most_a_hundredth_of_the_time() -> None:
         collector.run()
         first = weakref.ref(Ring())
         create_garbage(2 * MIN_OBJECTS)
+        # Due after 100 times the duration of the last collection.
         clock.now_s += 0.9 * MIN_INTERVAL_RATIO * took_s
         collector.run()
         assert first() is not None

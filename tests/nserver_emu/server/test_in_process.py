@@ -31,6 +31,7 @@ def connected(address: str) -> tuple[WireClient, InProcess]:
 def test_each_exchange_takes_its_step_of_simulated_time() -> None:
     client, _ = connected("sim:thesis_room?step_s=0.25")
     assert client.ask("sim_truth").values[1] == 0
+    # A step of 0.25 s per request; sim_truth does not take one.
     assert [client.ask("gs").clock for _ in range(3)] == [250, 500, 750]
     assert client.ask("sim_truth").values[1] == 750
 
@@ -44,10 +45,12 @@ def test_a_later_answer_comes_in_the_same_exchange() -> None:
     client, _ = connected("sim:")
     client.ask("sp", 100, 450, 450)
     client.ask("pr", 100, 0, 0)
+    # Within one exchange the reply of ws is waited for in steps of simulated time.
     reply = client.ask("ws", 1, 1, 1, 30)
     assert reply.slots[38] == 0
     assert reply.slots[34] == 100
     assert reply.clock is not None
+    # 10 in at 10 in/s take 1 s, plus the steps before and after.
     assert 1000 < reply.clock < 1500
 
 
@@ -71,6 +74,7 @@ def test_closing_stops_the_robot() -> None:
     client.ask("vm", 50, 0, 0)
     end.close()
     assert end.emulator.simulation.robots[1].moving == (False, False, False)
+    # A gs request (type 000f, no words) after the end gets no reply.
     end.send(b"\x00\x0f\x00\x00")
     assert end.receive() == b""
 
@@ -110,12 +114,14 @@ def test_a_world_file_of_ones_own(tmp_path: Path) -> None:
     world = tmp_path / "hall.toml"
     world.write_text('name = "hall"\n[[room]]\ncorners_m = [[-2, -2], [2, -2], [2, 2], [-2, 2]]\n')
     client, _ = connected(f"sim:{world}")
+    # A square room of 4 m: 2 m to the wall, minus the ring's radius of 9.06 in.
     assert client.ask("gs").slots[17] == round(2 / 0.0254 - 9.06)
 
 
 def test_the_client_controls_the_time() -> None:
     client, _ = connected("sim:?step_s=0.1")
     client.ask("vm", 10, 0, 0)
+    # Verb 1 pauses: marker, clock in ms, speed (0 in lockstep), paused. 4 steps by milliseconds.
     assert client.ask("sim_control", 1, 0).values == (1, 100, 0, 1)
     assert client.ask("gs").clock == 100
     assert client.ask("sim_control", 4, 50).values == (1, 150, 0, 1)
@@ -123,6 +129,7 @@ def test_the_client_controls_the_time() -> None:
 
 
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
+    # A named setup is used even with noisy=1.
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
     with pytest.raises(AddressError, match=r"'perfect'.* ideal, noisy, measured, building, worn"):
@@ -133,6 +140,7 @@ def test_a_setup_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "half deaf.toml"
     path.write_text("[sonar]\ndead = [0, 8]\n", encoding="utf-8")
     client, _ = connected(f"sim:?setup={path}")
+    # Slots 17 and 25 are the sonars 0 and 8.
     slots = client.ask("gs").slots
     assert (slots[17], slots[25]) == (0, 0)
     assert slots[18] > 0
@@ -148,6 +156,7 @@ def test_each_address_has_its_own_world_and_robots() -> None:
     assert robots[2].actual[:2] == (60.0, 0.0)
     for _ in range(10):
         seen = client.ask("gs").slots
+    # Robot 2 is 60 in ahead: its radius is 9.72 in, the sonar ring's 9.06 in.
     assert (seen[17], alone.ask("gs").slots[17]) == (round(60.0 - 9.72 - 9.06), 93)
     assert client.ask("get_rpx").values[0] == 2
     assert client.ask("create_robot", 3, 1).values != (0,)
@@ -171,6 +180,7 @@ def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
 
 @pytest.mark.parametrize(("name", "args"), [("ws", (1, 1, 1, 5)), ("zr", ())])
 def test_waiting_while_paused_is_refused(name: str, args: tuple[int, ...]) -> None:
+    # Steering and turret at 90 deg: zr has something to do.
     client, _ = connected("sim:")
     client.ask("place_robot", 0, 0, 900, 900)
     client.ask("vm", 0, 100, 0)
@@ -182,6 +192,7 @@ def test_waiting_while_paused_is_refused(name: str, args: tuple[int, ...]) -> No
 
 
 def test_the_documented_options_are_complete() -> None:
+    # The page lists the options once; each is accepted as an option, and "~" is an invalid value for each.
     page = (Path(__file__).parents[3] / "docs" / "addresses.md").read_text()
     (listed,) = re.findall(r"^\| `sim:WORLD` \|.*options of its own besides \(([^)]*)\)", page, re.MULTILINE)
     assert tuple(listed.split(", ")) == OPTIONS

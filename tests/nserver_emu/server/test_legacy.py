@@ -23,11 +23,14 @@ from tests.programs.forked import Forked
 
 pytestmark = pytest.mark.long
 
+# Types of messages over TCP (docs/protocol.md).
 AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
 PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS, QUIT = 41, 23, 26, 102, 103, 39, 70
 STATE, ERROR = 80, 91
+# The seven bytes of ct: 40 slots, laser and compass on, no position data.
 ALL_SENSORS = (255, 255, 255, 255, 255, 0b1110, 0)
 ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
+# Tenths of an inch per second: 20 in/s.
 TOP_SPEED = 200
 END_S = 20
 
@@ -47,6 +50,7 @@ class OldClient:
     def read_reply(self) -> tuple[int, list[int]]:
         """Type and words of the next reply."""
         answered, count = struct.unpack(">hH", self._read(4))
+        # A reply word of a 64-bit client is the value and four padding bytes; a request word has the padding first.
         layout = ">i4x" if self._wide else ">i"
         data = self._read(count * struct.calcsize(layout))
         return answered, [word for (word,) in struct.iter_unpack(layout, data)]
@@ -101,6 +105,7 @@ def port() -> Iterator[int]:
 def client(port: int) -> Iterator[OldClient]:
     made = OldClient("127.0.0.1", port)
     made.connect_robot()
+    # st ends a motion of the last test, then the robot is placed at the origin: all tests share one daemon.
     made.ask(ST)
     made.ask(PLACE, 0, 0, 0, 0)
     yield made
@@ -111,6 +116,7 @@ def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient)
     """mv relative, then get_rv until all three are 0: never 0 before the robot is there."""
     client.ask(SP, 100, 300, 300)
     asked = 0
+    # Forth, back, and the shortest motion there is, 0.1 in.
     for distance, target in ((300, 300), (-300, 0), (1, 1)):
         client.ask(MV, 2, distance, 0, 0, 0, 0)
         while client.ask(GET_RV)[1] != [0, 0, 0]:
@@ -121,6 +127,7 @@ def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient)
 
 
 def test_an_mv_that_leaves_all_axes_changes_nothing(client: OldClient) -> None:
+    # Steering at 5 deg/s. Mode 0 of mv leaves an axis as it is.
     client.ask(VM, 0, 50, 0)
     for _ in range(20):
         kind, state = client.ask(MV, 0, 0, 0, 0, 0, 0)
@@ -131,6 +138,7 @@ def test_an_mv_that_leaves_all_axes_changes_nothing(client: OldClient) -> None:
 
 
 def test_a_fast_loop_of_queries_and_motions(client: OldClient) -> None:
+    # At 1 in/s forth and back the robot never reaches a wall; the timeout of 5 s is never reached either.
     client.ask(PLACE, 450, 450, 0, 0)
     client.ask(CONF_SN, 15, *ORDER)
     client.ask(CONF_TM, 5)
@@ -147,14 +155,17 @@ def test_a_fast_loop_of_queries_and_motions(client: OldClient) -> None:
 def test_swapped_limits_are_clamped_silently(client: OldClient) -> None:
     """Steering's numbers first, translation's last, one of them negative, some far too high."""
     assert client.ask(AC, 500, 500, 300)[0] == STATE
+    # Translation gets 450, above its top speed of 200.
     assert client.ask(SP, 450, 450, TOP_SPEED)[0] == STATE
     client.ask(PR, 400, 0, 0)
     assert client.ask(GET_RV)[1][0] == TOP_SPEED
     client.ask(WS, 1, 1, 1, 30)
+    # Of a speed only the amount counts: the robot goes back at 5 in/s.
     assert client.ask(SP, -50, 1_000_000, -1)[0] == STATE
     client.ask(PR, -400, 0, 0)
     assert client.ask(GET_RV)[1][0] == -50
     client.ask(WS, 1, 1, 1, 30)
+    # vm clamps each axis to its own top speed.
     assert client.ask(VM, 99_999, -99_999, 0)[1][38:41] == [TOP_SPEED, -450, 0]
     client.ask(SP, 200, 450, 450)
 
@@ -165,6 +176,7 @@ def test_a_second_connection_continues_without_connect(port: int, wide: bool) ->
     returned = first.connect_robot()
     second = OldClient("127.0.0.1", returned, wide)
     first.close()
+    # Both connections are of one client, so the second continues as robot 1 without CONNECT.
     assert second.ask(PLACE, 100, 200, 0, 0) == (82, [0])
     kind, state = second.ask(GS)
     assert (kind, state[34:36]) == (STATE, [100, 200])
@@ -183,6 +195,7 @@ def test_two_programs_never_get_each_others_robots() -> None:
     """Both go on over second connections, without CONNECT and at the same time."""
     with nserver("--port", "0", "--robots", "2") as port, contextlib.ExitStack() as clients:
         one, two = (OldClient("127.0.0.1", port) for _ in range(2))
+        # Two clients of one address with different robots: a connection without CONNECT is ambiguous.
         assert [client.ask(CONNECT, robot, 4711)[1] for robot, client in ((1, one), (2, two))] == [[port]] * 2
         for _ in range(2):
             second = OldClient("127.0.0.1", port)
@@ -210,6 +223,7 @@ def test_signals_while_quitting_are_no_error() -> None:
         client = OldClient("127.0.0.1", int(daemon.stdout.readline().rpartition(":")[2]))
         client.connect_robot()
         assert client.ask(QUIT) == (82, [0])
+        # Signals arrive while the daemon ends, which ignores them from then on (daemon.py, ignore_signals).
         for number in itertools.cycle((signal.SIGTERM, signal.SIGINT, signal.SIGHUP)):
             if daemon.poll() is not None:
                 break
@@ -225,6 +239,7 @@ def test_request_in_pieces_is_not_delayed(port: int) -> None:
     client = OldClient("127.0.0.1", port)
     client.connect_robot()
     times_s = []
+    # The median, as single requests may be delayed by a busy machine. A delayed acknowledgement takes 40 ms.
     for _ in range(21):
         before_s = time.perf_counter()
         client.send_in_pieces(VM, 0, 0, 0)
@@ -241,6 +256,7 @@ def test_a_client_on_64_bits_drives_and_reads(port: int) -> None:
     kind, state = client.ask(VM, -30, 0, 0)
     assert (kind, state[38]) == (STATE, -30)
     assert client.ask(ST)[1][38] == 0
+    # An unknown type gets an error, and the session stays synchronised.
     assert client.ask(999, 1)[0] == ERROR
     assert client.ask(GS)[0] == STATE
     client.close()

@@ -30,6 +30,7 @@ from tests.nserver_emu.server.wire_client import simulation
 
 ROOT = Path(__file__).parents[3]
 GS = codec.encode_tcp_request(Call("gs"))
+# A square of 10 in beside the robot at the origin: the number of corners, then their coordinates in tenths.
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
 
@@ -73,6 +74,7 @@ def test_every_limit_has_an_option(row: object, capsys: pytest.CaptureFixture[st
     assert parsed() == Limits()
     assert parsed(limit.option, str(limit.min)) == replace(Limits(), **{limit.name: limit.min})
     assert limit.option in cli.whole_parser().format_help()
+    # Above the maximum, negative, no number; 0 only where it means "no limit".
     for wrong in (str(limit.max + 1), "-1", "many", *(() if limit.may_be_none else ("0",))):
         with pytest.raises(SystemExit):
             parsed(f"{limit.option}={wrong}")
@@ -96,6 +98,7 @@ async def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Li
         assert server.daemon.admission.rejected == 1
         for client in (first, second):
             assert (await client.ask("gs")).kind == "state"
+        # A closed connection makes room for another.
         second.writer.close()
         while len(server.daemon.connections) == 2:
             await asyncio.sleep(0.005)
@@ -116,6 +119,7 @@ def test_rejections_are_logged_per_address_and_then_counted(caplog: pytest.LogCa
     assert "--allow" in fenced.rejection_reason("10.0.0.1", [], "10.0.0.2")
     assert not fenced.rejection_reason("10.0.0.1", [], "10.0.0.1")
     for host in ("10.0.0.1", "10.0.0.2"):
+        # One more than the log accepts per address; the rest is only counted.
         for _ in range(MAX_REPEATS + 1):
             door.reject(host, "because")
     written = filter(RepeatLimiter(), caplog.records)
@@ -149,6 +153,7 @@ async def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
     async with limited_server(Limits(), Emulator(simulation(), allowed=Allowed(frame=17))) as server:
         client = await server.connect_client()
         assert (await client.ask("add_obstacle", *BOX)).kind == "simple"
+        # 21 words, above the limit of 17: refused with error 2, and skipped whole.
         long = (10, *(number for corner in range(10) for number in (corner * 10, 2000 + corner**2)))
         assert (await client.ask("add_obstacle", *long)).values == (2,)
         assert (await client.ask("gs")).kind == "state"
@@ -156,6 +161,7 @@ async def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
 
 async def test_only_idle_connections_are_closed(caplog: pytest.LogCaptureFixture) -> None:
     async with limited_server(Limits(idle=2)) as server:
+        # `waiting` sends nothing either, but has a reply outstanding: that is not idle.
         silent, active, waiting = [await server.connect_client() for _ in range(3)]
         await waiting.ask("vm", 10, 0, 0)
         waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
@@ -176,6 +182,7 @@ async def test_a_stalled_request_is_closed_despite_single_bytes() -> None:
         stalled, other = await server.connect_client(), await server.connect_client()
         await stalled.ask("vm", 100, 0, 0)
         closed = asyncio.create_task(is_closed(stalled))
+        # vm has 16 bytes: with one byte in 0.15 s it is incomplete for longer than the limit of 1 s.
         for byte in codec.encode_tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
             if closed.done():
                 break
@@ -191,6 +198,7 @@ async def test_a_stalled_skipped_request_is_closed_and_logged_once(
 ) -> None:
     async with limited_server(Limits(stall=1)) as server:
         stalled = await server.connect_client()
+        # An unknown type with 1000 words, of which 25 arrive: the session waits for the rest to skip it.
         stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
         assert (await stalled.reply("gs")).kind == "error"
         assert await is_closed(stalled)
@@ -203,6 +211,7 @@ async def test_a_stalled_skipped_request_is_closed_and_logged_once(
 async def test_a_client_that_does_not_read_is_closed(caplog: pytest.LogCaptureFixture) -> None:
     async with limited_server(Limits(stall=1, write_queue=2048)) as server:
         other, deaf = await server.connect_client(), socket.socket()
+        # A small receive buffer and replies that are never read: the queue of 2048 bytes is soon full.
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.setblocking(False)
         loop = asyncio.get_running_loop()
@@ -228,6 +237,7 @@ async def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
     async with limited_server(Limits(), emulator) as server:
         client, other = await server.connect_client(), await server.connect_client()
         replies = [await client.ask("add_obstacle", *BOX) for _ in range(2)]
+        # The second obstacle is refused (5); of drawings the oldest are dropped instead.
         assert [reply.values for reply in replies] == [(0,), (5,)]
         for number in range(5):
             assert (await client.ask("draw_line", number, 0, 0, 0, 1)).values == (0,)

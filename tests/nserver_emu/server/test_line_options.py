@@ -54,6 +54,7 @@ async def opened(*words: str) -> tuple[list[str], dict[str, str]]:
 
 async def test_lines_belong_to_robots_in_order_unless_numbered(tmp_path: Path) -> None:
     a, b, c = (str(tmp_path / name) for name in "abc")
+    # PATH@ROBOT names a robot; without it lines belong to robots 1, 2, ... in order.
     words = ["--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0", "--robotd=0@3"]
     printed, places = await opened(*words)
     assert printed[2:] == [f"listening serial {path}" for path in (a, b, c)]
@@ -115,12 +116,14 @@ async def test_a_line_that_cannot_be_opened_leaves_nothing(tmp_path: Path) -> No
     with pytest.raises(AddressError, match=r"robot 4: .*1, 2, 3"):
         await opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
     (tmp_path / "precious").write_text("x")
+    # The second link cannot be created, so the first one must be removed again.
     with pytest.raises(ConnectionLost, match="no symbolic link"):
         await opened("--serial-link", str(tmp_path / "a"), "--serial-link", str(tmp_path / "precious"))
     assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
 
 
 async def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # None in sys.modules makes the import fail, as on Windows.
     monkeypatch.setitem(sys.modules, "nserver_emu.server.pty", None)
     with pytest.raises(ConnectionLost, match="use --robotd"):
         await opened("--serial-link", str(tmp_path / "a"))

@@ -32,6 +32,7 @@ from tests.nserver_emu.server.running_server import serving
 
 GS = bytes.fromhex("010200070a5c")
 BAUD = 38400
+# gs has 6 bytes and its reply 48 (data 42, framing 6), each byte ten bits (8N1).
 MIN_EXCHANGE_S = 54 * 10 / BAUD
 """Duration of gs and its reply at a Nomad's baud rate."""
 
@@ -72,6 +73,7 @@ class RunningServer:
         """A host that has the link open, and how it leaves."""
         fd = os.open(self.line.terminal.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         come = asyncio.Event()
+        # A pseudo-terminal has no asyncio transport: the descriptor is non-blocking and watched by the loop.
         loop = asyncio.get_running_loop()
         loop.add_reader(fd, come.set)
 
@@ -129,6 +131,7 @@ async def test_a_robot_stops_when_its_host_closes_the_line(path: Path) -> None:
     async with running_lines(path) as server:
         for _ in range(3):
             host, leave = server.at_link()
+            # Slot 39 is the steering velocity, tenths of a degree per second.
             assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
             assert server.moving
             leave()
@@ -139,6 +142,7 @@ async def test_a_second_opening_of_the_link_stops_nothing(path: Path) -> None:
     async with running_lines(path) as server:
         host, _ = server.at_link()
         await host.ask("vm", 0, 100, 0)
+        # Each time a second descriptor is opened and closed, while the first host stays.
         for _ in range(3):
             _, leave = server.at_link()
             await host.ask("gs")
@@ -171,6 +175,7 @@ async def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None
     async with running_lines(path) as server:
         host, writer = await server.at_port()
         assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
+        # SO_LINGER with 0 s: the close sends RST instead of FIN, as when a machine disappears.
         linger = struct.pack("ii", 1, 0)
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
         writer.transport.abort()
@@ -179,8 +184,10 @@ async def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None
 
 async def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
     async with running_lines(path) as server:
+        # 1. A client on the port moves the robot.
         driver, _ = await server.at_port()
         await driver.ask("vm", 0, 100, 0)
+        # 2. A host on the link only reads, and closes it.
         host, leave = server.at_link()
         assert (await host.ask("gs")).slots[39] == 100
         leave()
@@ -191,22 +198,27 @@ async def test_a_host_that_moved_nothing_stops_nothing(path: Path) -> None:
 async def test_an_n200_sends_a_handshake_over_tcp_only(path: Path) -> None:
     async with running_lines(path, model="n200") as server:
         host, _ = await server.at_port()
+        # Over TCP the N200 sends mask and laser mode 51 first, without a request.
         assert read_handshake(await host.some()) == (EVERYTHING, 51)
         assert (await host.ask("gs")).laser is not None
         serial, _ = server.at_link()
+        # On the link a host needs no handshake before its request.
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
 
 
 async def test_the_handshake_contains_the_mask_of_another_line(path: Path) -> None:
     async with running_lines(path, model="n200") as server:
+        # 1. A host on the link selects only the last ten slots.
         serial, leave = server.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
         serial.wire_state.set_mask(few)
         await serial.ask("ct", *few.smask)
         leave()
+        # 2. Over TCP the handshake carries that mask.
         host, writer = await server.at_port()
         assert read_handshake(await host.some()) == (few, 51)
         host.wire_state.set_mask(few)
+        # 3. The state reply follows it: no sonar (slot 17).
         assert 17 not in (await host.ask("gs")).slots
         writer.close()
         await writer.wait_closed()

@@ -24,10 +24,13 @@ def test_the_protocol_holds_its_invariants_for_2000_steps() -> None:
 
 
 def test_a_refused_connect_ends_the_wait_for_a_closed_program() -> None:
+    # 1. A client moves nothing and closes; its entry stays for a second connection of the same program.
     machine = ProtocolMachine()
     machine.begin(gateway=False, model="n150")
     machine.leave(number=1, how="close", made=Call("gs"))
+    # 2. A new connection from the same address is refused its robot.
     machine.connect(number=1, robot=3)  # There is no robot 3: the connection stays, without a robot.
+    # 3. After the retention time of 0.2 s a connection without CONNECT finds nothing to continue.
     machine.pass_time(0.3)
     second = machine.open_peer(1)
     second.send(Call("gs"))

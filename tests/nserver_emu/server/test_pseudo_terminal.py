@@ -33,6 +33,7 @@ def opened(path: Path) -> int:
 
 def test_bytes_pass_unchanged_in_both_directions(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
+    # Includes the control characters (^C, XON, XOFF, CR, LF) that a terminal in cooked mode would interpret.
     every_byte = bytes(range(256))
     os.write(host, every_byte)
     assert terminal.read(1000) == every_byte
@@ -46,16 +47,19 @@ def test_hosts_that_come_and_go_are_seen(terminal: PseudoTerminal, path: Path) -
     closed = [terminal.is_closed]
     host = opened(path)
     closed.append(terminal.is_closed)
+    # Bytes sent just before the close are read before the end.
     os.write(host, b"last bytes")
     os.close(host)
     assert [*closed, terminal.is_closed] == [True, False, True]
     assert terminal.read(1000) == b"last bytes"
+    # None: the host closed its end (EIO).
     assert terminal.read(1000) is None
 
 
 def test_reset_discards_bytes_and_settings(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     settings = termios.tcgetattr(host)
+    # A host may leave the port in cooked mode with echo.
     settings[tty.LFLAG] |= termios.ECHO | termios.ICANON
     termios.tcsetattr(host, termios.TCSANOW, settings)
     terminal.write(b"unread")
@@ -71,6 +75,7 @@ def test_reset_discards_bytes_and_settings(terminal: PseudoTerminal, path: Path)
 
 def test_writing_to_a_full_terminal_does_not_block(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
+    # The kernel's buffer is some kilobytes; nothing reads it.
     while terminal.write(bytes(1000)):
         pass
     assert terminal.write(b"x") == 0
@@ -80,6 +85,7 @@ def test_writing_to_a_full_terminal_does_not_block(terminal: PseudoTerminal, pat
 def test_replace_hangs_up_and_links_a_new_terminal(terminal: PseudoTerminal, path: Path) -> None:
     host = opened(path)
     terminal.replace()
+    # As an unplugged adapter: end of file for reads, EIO for writes.
     assert os.read(host, 10) == b""
     with pytest.raises(OSError, match="Input/output error"):
         os.write(host, b"x")
@@ -99,10 +105,12 @@ def test_the_link_is_gone_at_the_end(path: Path) -> None:
 
 
 def test_a_stale_link_is_replaced_and_a_foreign_one_stays(path: Path) -> None:
+    # The link of a daemon that was killed points to a terminal that no longer exists.
     path.symlink_to("/dev/pts/no-more")
     terminal = PseudoTerminal(path)
     assert path.resolve().is_char_device()
     path.unlink()
+    # A link that another program has put there meanwhile is not removed.
     path.symlink_to("elsewhere")
     terminal.close()
     assert path.readlink() == Path("elsewhere")
@@ -114,6 +122,7 @@ def test_a_link_is_put_back_where_it_can_be(terminal: PseudoTerminal, path: Path
     assert terminal.restore_link()
     assert path.readlink() == Path(terminal.device)
     path.unlink()
+    # Without its folder the link cannot be created; that is no error.
     path.parent.rmdir()
     assert not terminal.restore_link()
 
@@ -135,6 +144,7 @@ def test_the_line_of_another_daemon_stays_its_own(terminal: PseudoTerminal, path
 def test_without_abstract_sockets_the_last_server_has_the_link(
     path: Path, terminal: PseudoTerminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # The claim of a path is an abstract Unix socket, which only Linux has.
     monkeypatch.setattr("sys.platform", "darwin")
     other = PseudoTerminal(path)
     assert path.readlink() == Path(other.device) != Path(terminal.device)
@@ -148,6 +158,7 @@ def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
 
 def test_writes_without_host_are_dropped(path: Path) -> None:
     terminal = PseudoTerminal(path)
+    # A closed descriptor stands for a terminal that has gone.
     os.close(terminal.fd)
     assert terminal.write(b"x") == 1
     with pytest.raises(OSError, match="Bad file descriptor"):

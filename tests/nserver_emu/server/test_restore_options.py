@@ -15,6 +15,7 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import SimulationClock
 from tests.nserver_emu.server.wire_client import meet, simulation
 
+# Differs from the default in two fields, so that a restored clock is recognised.
 SAVED_PACE = SimulationClock(factor=3.0, lockstep_s=0.25)
 
 
@@ -148,6 +149,7 @@ def test_a_restored_run_keeps_its_speed_unless_given(
 @pytest.mark.parametrize(
     "pace",
     [
+        # Out of range, or of a type that JSON allows but the clock does not; True is an int in Python.
         SimulationClock(factor=-1.0),
         SimulationClock(factor=1e9),
         SimulationClock(factor=True),
@@ -167,16 +169,20 @@ def test_an_invalid_clock_is_refused(pace: SimulationClock) -> None:
 
 def test_the_first_client_owns_a_restored_moving_robot() -> None:
     emulator = Emulator(simulation())
+    # 1. A moving robot is saved and restored: its axes have no owner.
     meet(emulator)[0].ask("vm", 50, 0, 100)
     emulator.pass_time(1.0)
     restored = Emulator(simulation())
     snapshot.loads(restored, snapshot.dumps(emulator))
     robot = restored.simulation.robots[1]
+    # 2. The first client that connects owns both moving axes; the second takes over the turret with mv.
     first, first_session = meet(restored)
     second, second_session = meet(restored)
     second.ask("mv", 0, 0, 0, 0, 1, 70)
+    # 3. When the first one closes, only its own axis stops.
     restored.on_disconnect(first_session.context)
     assert robot.moving == (False, False, True)
+    # 4. A client that connects later owns nothing.
     _, third_session = meet(restored)
     restored.on_disconnect(third_session.context)
     assert robot.moving == (False, False, True)
@@ -189,10 +195,12 @@ def test_the_first_client_owns_a_restored_moving_robot() -> None:
 def test_axes_with_an_owner_are_not_claimed() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
+    # 1. Robot 2 moves; the snapshot is restored.
     client.ask("create_robot", 2, 1)
     client.ask("vm", 0, 0, 100)
     restored = Emulator(simulation())
     snapshot.loads(restored, snapshot.dumps(emulator))
+    # 2. A client of robot 1 closes: the motion of robot 2 is not its own.
     _, session = meet(restored)
     restored.on_disconnect(session.context)
     assert restored.simulation.robots[2].moving[2]
@@ -215,12 +223,14 @@ def test_a_saved_run_continues_from_its_file(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    # The world, model and robot do not exist: with a file to restore they are not read.
     gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
     caplog.set_level("INFO", "nserver_emu.control.recording")
     assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
     assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
     assert started[0].clock == SAVED_PACE
     assert "goes on from" in caplog.text
+    # An option for the clock overrides the saved one.
     assert cli.main([*gone, "--save", saved.name, "--restore", str(saved), "--speed", "7"]) == 0
     assert started[1].clock == SimulationClock(7.0)
 

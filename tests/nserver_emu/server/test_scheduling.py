@@ -56,6 +56,7 @@ class Load:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
+    # `run_turn` of a load advances the clock by its cost, which the scheduler then measures.
     monkeypatch.setattr(time, "thread_time", lambda: clock.now_s)
     return clock
 
@@ -72,11 +73,13 @@ async def drained(scheduler: FairScheduler, clock: Clock, loads: list[Load]) -> 
 async def test_a_turn_is_bounded_by_cost_not_by_count(clock: Clock) -> None:
     scheduler = FairScheduler()
     order: list[str] = []
+    # Five requests fit into the budget; fifty loads compete for it.
     loads = [Load(str(number), ITERATION_BUDGET_S / 5, 4, clock, scheduler, order) for number in range(50)]
     await drained(scheduler, clock, loads)
     served = Counter(turn for load in loads for turn in load.turns)
     # Fifty floods: the last job of a turn may exceed the budget, no other.
     assert max(served.values()) <= 6
+    # No load has two turns in one iteration.
     assert all(max(Counter(load.turns).values()) == 1 for load in loads)
 
 
@@ -94,6 +97,7 @@ async def test_time_is_shared_whatever_requests_cost(clock: Clock) -> None:
 async def test_a_rested_connection_is_next(clock: Clock) -> None:
     scheduler = FairScheduler()
     order: list[str] = []
+    # Fifty loads have used processor time for some iterations before the new one comes.
     floods = [Load(f"flood {number}", ITERATION_BUDGET_S / 4, 40, clock, scheduler, order) for number in range(50)]
     draining = asyncio.create_task(drained(scheduler, clock, list(floods)))
     while len(order) < 300:
@@ -107,11 +111,14 @@ async def test_a_rested_connection_is_next(clock: Clock) -> None:
 async def test_an_idle_loop_answers_at_once() -> None:
     scheduler = FairScheduler()
     assert scheduler.may_run_now(100.0)
+    # 1. Work of 0.9 of a budget leaves a tenth of it.
     scheduler.charge(0.9 * ITERATION_BUDGET_S)
     assert scheduler.may_run_now(100.0 + 0.9 * ITERATION_BUDGET_S)
+    # 2. The next work exceeds it: later work must wait for the next iteration.
     scheduler.charge(2.0 * ITERATION_BUDGET_S)
     assert not scheduler.may_run_now(100.0 + 3.0 * ITERATION_BUDGET_S), "the turn is used up"
     assert not scheduler.may_run_now(100.0 + 3.9 * ITERATION_BUDGET_S)
+    # 3. Nothing was done for a whole budget, so this is another iteration.
     assert scheduler.may_run_now(100.0 + 5.0 * ITERATION_BUDGET_S)
 
 
@@ -132,12 +139,14 @@ async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
                 while one.backlog:
                     await asyncio.sleep(0)
             clock.now_s += 0.1 * ITERATION_BUDGET_S
+    # At most a tenth of the 110 requests may find the budget used up.
     assert at_once >= 99
 
 
 async def test_nothing_overtakes_queued_work(clock: Clock) -> None:
     scheduler = FairScheduler()
     withdrawn = Load("withdrawn", 1.0, 1, clock, scheduler, [])
+    # A queued job blocks immediate work, even if it is withdrawn before its turn.
     scheduler.submit(withdrawn)
     assert not scheduler.may_run_now(100.0)
     withdrawn.is_queued = False
@@ -155,6 +164,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
         scheduler, client = server.daemon.scheduler, await server.connect_client()
         compute = SonarRing._compute
 
+        # Each ping uses up the time of one preparation turn, whatever the machine's speed.
         def costly(ring: SonarRing, model: Polaroid, sonar: int) -> None:
             pings[scheduler.iterations] = pings.get(scheduler.iterations, 0) + 1
             compute(ring, model, sonar)
@@ -162,6 +172,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
             while time.thread_time() < end_s:
                 pass
 
+        # Rate 1 (4 ms a sonar): after the setting all 16 sonars fire within 64 ms of simulated time.
         await client.ask("conf_sn", 1, *DEFAULT_ORDER)
         server.daemon.emulator.clock.paused = True
         monkeypatch.setattr(SonarRing, "_compute", costly)
@@ -170,6 +181,7 @@ async def test_a_costly_reply_is_prepared_over_several_turns(monkeypatch: pytest
     assert max(pings.values()) == 1, "each uses up a turn"
 
 
+# The preparation never completes: each step of simulated time brings new work.
 async def test_preparing_ends_though_new_work_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     times_ps = set[int]()
 

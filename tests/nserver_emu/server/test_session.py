@@ -52,12 +52,14 @@ def connected() -> Session:
 def test_replies_come_one_a_request_in_order() -> None:
     session = connected()
     session.receive(GS + codec.encode_tcp_request(Call("tk", ("hi",))) + GS)
+    # Types of replies: 82 simple, 80 state, 91 error.
     assert types(session.process_requests(max_requests=10)) == [80, 82, 80]
 
 
 def test_no_more_than_asked_are_answered_at_a_time() -> None:
     session = connected()
     session.receive(GS * 5)
+    # Two of five requests per call, so that other connections get their turn in between.
     assert types(session.process_requests(max_requests=2)) == [80, 80]
     assert session.ready
     assert types(session.process_requests(max_requests=9)) == [80, 80, 80]
@@ -69,6 +71,7 @@ def test_no_more_than_asked_are_answered_at_a_time() -> None:
 def test_any_cuts_give_the_same_replies(cuts: list[int]) -> None:
     stream = CONNECT + GS + codec.encode_tcp_request(Call("vm", (1, -2, 3))) + GS
     session, replies = Session(answer), b""
+    # TCP may cut the stream anywhere; a cut of 1 byte separates the bytes of a header.
     for cut in [*cuts, len(stream)]:
         session.receive(stream[:cut])
         stream = stream[cut:]
@@ -87,6 +90,7 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
     session = Session(slow)
     session.receive(CONNECT)
     session.process_requests(max_requests=1)
+    # tk behind ws would be answered at once, if it did not have to wait.
     session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 5))) + codec.encode_tcp_request(Call("tk", ("x",))))
     assert session.process_requests(max_requests=9) == b""
     assert session.waiting
@@ -101,6 +105,7 @@ def test_a_request_behind_a_later_answer_waits_its_turn() -> None:
 @pytest.mark.parametrize(
     ("request_bytes", "code"),
     [
+        # An unknown type 999 (03e7); vm (000c) with two words instead of three; add_obstacle (0032) with 99 corners.
         (b"\x03\xe7\x00\x01abcd", 1),
         (b"\x00\x0c\x00\x02" + bytes(8), 2),
         (b"\x00\x32\x00\x03" + b"\x00\x00\x00\x63" * 3, 2),
@@ -118,6 +123,7 @@ def test_a_bad_request_gets_an_error_and_the_session_goes_on(request_bytes: byte
 
 def test_a_stream_without_frames_gets_one_error_and_is_closed() -> None:
     session = connected()
+    # "GE" is read as type 18245 with a count of 21536 ("T "): more than can be skipped, so synchronisation is lost.
     session.receive(b"GET / HTTP/1.1\r\nHost: example\r\n\r\n" + GS)
     assert error_codes(session.process_requests(max_requests=9)) == [1]
     assert session.closing
@@ -142,7 +148,9 @@ def test_a_64_bit_client_is_recognised_by_its_connect() -> None:
     session = Session(answer)
     session.receive(codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True))
     reply = session.process_requests(max_requests=1)
+    # Type 82 (0052), one word; a reply word of a 64-bit client is the value, 7019 = 1b6b, and four zero bytes.
     assert reply == bytes.fromhex("00520001") + bytes.fromhex("00001b6b00000000")
+    # An invalid request of a 64-bit client is skipped with eight bytes per word.
     session.receive(b"\x00\x0c\x00\x02" + bytes(16) + codec.encode_tcp_request(Call("gs"), wide=True))
     assert types(session.process_requests(max_requests=2), wide=True) == [91, 80]
 
@@ -150,9 +158,11 @@ def test_a_64_bit_client_is_recognised_by_its_connect() -> None:
 def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     session = connected()
     with caplog.at_level(logging.WARNING):
+        # Four invalid frames, two of each kind: only the first of each kind is logged.
         session.receive(2 * (b"\x00\x0c\x00\x02" + bytes(8) + b"\x03\xe7\x00\x00"))
         session.receive(2 * codec.encode_tcp_request(Call("get_ir")) + codec.encode_tcp_request(Call("get_cp")))
         session.process_requests(max_requests=9)
+    # 2 + 2 invalid frames, get_ir twice, get_cp once.
     assert session.refused == 7
     assert [record.getMessage().split(" (")[0] for record in caplog.records] == [
         "client: refused: type 12 takes 3 words, not 2", "client: refused: unknown message type 999",
@@ -161,6 +171,7 @@ def test_each_kind_of_refusal_is_logged_once(caplog: pytest.LogCaptureFixture) -
 
 
 def test_ambiguous_client_is_refused_and_closed(caplog: pytest.LogCaptureFixture) -> None:
+    # Robots and word sizes differ, so the connection could be given another program's robot.
     session = Session(answer, find_identity=lambda _: [ClientIdentity(1, wide=False), ClientIdentity(2, wide=True)])
     with caplog.at_level(logging.WARNING):
         session.receive(GS)
@@ -173,10 +184,12 @@ def test_ambiguous_client_is_refused_and_closed(caplog: pytest.LogCaptureFixture
 @pytest.mark.parametrize("name", ["connect_robot", "create_robot"])
 def test_connect_to_robot_0_with_32_bit_words(name: str, caplog: pytest.LogCaptureFixture) -> None:
     session = Session(lambda call, _: Reply("simple", values=(0 if call.args[0] == 0 else 7019,)))
+    # For a 64-bit client the first word would be four zero bytes, so the session waits for more.
     session.receive(codec.encode_tcp_request(Call(name, (0, 4711))))
     assert not session.ready
     assert session.may_have_32_bit_words
     with caplog.at_level(logging.WARNING):
+        # The connection calls this after CONNECT_WAIT_S without the rest.
         session.assume_32_bit_words()
     assert session.process_requests(max_requests=1) == bytes.fromhex("0052000100000000")
     assert "connects to robot 0" in caplog.text
@@ -186,6 +199,7 @@ def test_incomplete_connect_with_64_bit_words_is_completed() -> None:
     session = Session(answer)
     request = codec.encode_tcp_request(Call("connect_robot", (1, 7)), wide=True)
     found = []
+    # After twelve bytes the message could be a whole CONNECT to robot 0 with 32-bit words; the rest decides.
     for part in (request[:12], request[12:]):
         session.receive(part)
         found.append(session.may_have_32_bit_words)
@@ -196,6 +210,7 @@ def test_incomplete_connect_with_64_bit_words_is_completed() -> None:
 
 @pytest.mark.parametrize("layout", [">i4x", "<i4x"])
 def test_64_bit_words_of_another_layout_are_logged(layout: str, caplog: pytest.LogCaptureFixture) -> None:
+    # Type 102 (0066) with two words, but the value in the first half of each eight bytes.
     session = Session(answer)
     words = struct.pack(layout, 1) + struct.pack(layout, 4711)
     with caplog.at_level(logging.WARNING):
@@ -222,6 +237,7 @@ def second_connection(wide: bool = False) -> Session:
 @pytest.mark.parametrize("wide", [False, True])
 def test_an_old_client_continues_without_connect(wide: bool) -> None:
     session = second_connection(wide)
+    # Single bytes: the word size must be found from however many bytes have arrived.
     for byte in codec.encode_tcp_request(Call("tk", ("hi",)), wide=wide) + codec.encode_tcp_request(
         Call("gs"), wide=wide
     ):
@@ -238,6 +254,7 @@ def test_a_second_connection_with_connect_is_independent() -> None:
     assert session.identity == ClientIdentity(1, wide=False)
 
 
+# A silent client has sent nothing but CONNECT and its sensor mask: its second connection is preferred.
 def test_a_client_is_silent_until_a_request_after_connect() -> None:
     session = connected()
     assert session.identity == ClientIdentity(1, wide=False, silent=True)
@@ -258,6 +275,7 @@ def test_the_width_that_the_first_words_show_is_asked_for(pid: bytes, seen: bool
         return []
 
     session = Session(answer, find_identity=find)
+    # ct (type 16, seven words), byte by byte. The mask's first word is never 0: zeros there come from 64-bit words.
     for byte in b"\0\x10\0\x07" + pid + b"\0\0\0\xff" + bytes(20):
         assert session.unfinished <= 31
         session.receive(bytes([byte]))

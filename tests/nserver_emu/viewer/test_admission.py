@@ -15,6 +15,7 @@ from nserver_emu.viewer.http_port import HTTP_LOG
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
+# A request without the empty line at its end.
 HALF = b"GET / HTTP/1.1\r\n"
 ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"
 PATIENCE_S = 20
@@ -47,6 +48,7 @@ async def let_go(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 async def test_a_connection_without_a_request_is_closed() -> None:
     async with serve_with(Limits(stall=1)) as here:
         silent, half = await comes(here, b""), await comes(here)
+        # The connection of a request that was answered stays open (keep-alive).
         reader, writer = await comes(here, ICON)
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 204")
         async with here.page() as page:
@@ -77,6 +79,7 @@ async def test_there_are_no_more_than_pages_want(limits: Limits, most: int, capl
 
 async def test_bytes_that_are_no_http_are_logged_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
     async with serve_with(Limits()) as here:
+        # No Host header, a line that is too long, and a header without a colon.
         for says in (b"GET / HTTP/1.1\r\n\r\n", b"GET /" + b"a" * 70_000, b"GET / HTTP/1.1\r\nHost\r\n\r\n"):
             reader, writer = await comes(here, says)
             async with asyncio.timeout(PATIENCE_S):

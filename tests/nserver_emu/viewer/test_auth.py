@@ -28,6 +28,7 @@ ACT, WATCH = "a" * 16, "b" * 200
 def test_tokens_are_random_and_differ_in_permission() -> None:
     tokens = new_tokens()
     assert len({*tokens, *new_tokens()}) == 4
+    # Tokens to act and to watch; then none, one that UTF-8 cannot encode, and one that is too short.
     assert [tokens.may_act(token) for token in (*tokens, "", "ü\ud800", tokens.act[:-1])] == [
         True, False, None, None, None
     ]  # fmt: skip
@@ -51,6 +52,7 @@ def test_a_token_file_that_others_can_read_is_refused(mode: int, tmp_path: Path)
         load_tokens(path)
 
 
+# Empty, one line, too short, twice the same, too long (201), a character that needs quoting in a URL, no UTF-8.
 @pytest.mark.parametrize("text", [b"", ACT.encode(), b"short\nshorter", f"{ACT}\n{ACT}".encode(),
                                   f"{ACT}\n{WATCH}b".encode(), f"{ACT}\n{'&' * 20}".encode(), b"\xff\xfe"])  # fmt: skip
 def test_what_is_no_pair_of_tokens_is_refused(text: bytes, tmp_path: Path) -> None:
@@ -108,6 +110,7 @@ async def test_a_host_that_is_none_is_403_and_no_fault(path: str, host: str) -> 
     async with serve_viewer(Emulator(simulation())) as here:
         verb = "POST" if path == "/publish" else "GET"
         reader, writer = await asyncio.open_connection(HOST, here.port)
+        # The headers that a browser sends, but for the host, and an Origin that cannot be parsed.
         head = f"{verb} {path}?token={here.viewer_server.token} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\n"
         upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nOrigin: http://[\r\n"
@@ -132,6 +135,7 @@ def test_an_address_is_one_that_can_be_asked(monkeypatch: pytest.MonkeyPatch) ->
     assert address("127.0.0.1", 80) == "http://127.0.0.1:80"
     assert address("::1", 80) == "http://[::1]:80"
     assert address("robots.example", 80) == "http://robots.example:80"
+    # The address of all interfaces is none that a browser can open.
     for everywhere in ("0.0.0.0", "::"):
         assert everywhere not in address(everywhere, 80).split("//")[1].split(":80")[0].split("[")
     monkeypatch.setattr(socket, "socket", _no_network)

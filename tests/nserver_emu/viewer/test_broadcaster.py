@@ -33,6 +33,7 @@ def test_a_quick_viewer_gets_every_picture_from_the_one_before() -> None:
         assert messages_for(broadcaster, viewer) == []
         seen.append((picture["since"], picture["frame"]))
         viewer.mark_drawn(picture["frame"])
+    # Each picture is the difference to the one that the viewer has drawn.
     assert seen == [(number, number + 1) for number in range(30)]
 
 
@@ -43,7 +44,9 @@ def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
     for _ in range(500):
         broadcaster.take()
         mark_sent += len(messages_for(broadcaster, slow))
+    # 500 pictures, and none acknowledged: only MAX_UNDRAWN are sent.
     assert mark_sent == MAX_UNDRAWN
+    # Acknowledging the fifth one makes room; its difference is no longer known, so all is sent (since 0).
     slow.mark_drawn(5)
     (picture,) = messages_for(broadcaster, slow)
     assert (picture["since"], picture["frame"]) == (0, 500)
@@ -51,6 +54,7 @@ def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
 
 def test_a_new_viewer_gets_no_stale_picture() -> None:
     emulator = Emulator(simulation())
+    # A picture from before the viewer came is old: it waits for the next one.
     broadcaster = Broadcaster(SceneHistory(emulator))
     broadcaster.take()
     emulator.simulation.robots[1].place(300.0, 200.0, 0.0, 0.0)
@@ -67,6 +71,7 @@ def test_viewers_at_the_same_picture_share_its_text() -> None:
     first, second = broadcaster.join(may_act=False), broadcaster.join(may_act=True)
     broadcaster.take()
     (one,), (other,) = broadcaster.next_for(first), broadcaster.next_for(second)
+    # The same object: encoded once for both.
     assert one is other
 
 
@@ -74,6 +79,7 @@ def test_messages_precede_the_picture_and_the_oldest_are_dropped() -> None:
     broadcaster = a_hub()
     viewer = broadcaster.join(may_act=False)
     broadcaster.take()
+    # Seven messages more than the queue holds.
     for number in range(MAX_MESSAGES + 7):
         broadcaster.notify(json.dumps({"type": "x", "number": number}))
     *news, missed, picture = messages_for(broadcaster, viewer)
@@ -117,6 +123,7 @@ def test_lasers_are_measured_only_for_watched_robots(monkeypatch: pytest.MonkeyP
 
     def seen() -> set[int]:
         looked.clear()
+        # The laser is measured in every LASER_INTERVAL-th picture.
         for _ in range(LASER_INTERVAL):
             broadcaster.take()
         return {number for number, robot in emulator.simulation.robots.items() if robot in looked}
@@ -126,11 +133,13 @@ def test_lasers_are_measured_only_for_watched_robots(monkeypatch: pytest.MonkeyP
     assert seen() == set()
     first.laser, first.laser_robot = True, 2
     assert seen() == {2}
+    # A robot is chosen, but its laser is not shown.
     second.laser_robot = 3
     assert seen() == {2}
     second.laser = True
     assert seen() == {2, 3}
     messages_for(broadcaster, first)
+    # No robot: all of them.
     second.laser_robot = None
     assert seen() == {1, 2, 3}
     broadcaster.viewers.discard(second)

@@ -48,12 +48,14 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_students_get_free_robots_and_tokens(path: Path) -> None:
+    # Robots 2, 5 and 4 are given; the others get the lowest free numbers, 1 and 3.
     text = f'Name,robot\n# a comment\n"Lovelace, Ada",{ADA},2\n\nBob\nGrace,,5\nAlan,4\nKay,{BOB}\n'
     students = read_class(write(path, text))
     assert [(name, robot) for name, _, robot in students] == [
         ("Lovelace, Ada", 2), ("Bob", 1), ("Grace", 5), ("Alan", 4), ("Kay", 3)]
     assert (students[0].token, students[4].token) == (ADA, BOB)
     assert len({token for _, token, _ in students}) == 5
+    # At least 16 characters: hard to guess.
     assert min(len(token) for _, token, _ in students) >= 16
 
 
@@ -67,6 +69,7 @@ def test_links_are_private_and_stay_over_restarts(path: Path) -> None:
     # The order of lines may change, and a new student has a new token.
     again = read_class(write(path, "Eve\nBob\nAda\n"))
     assert [again[2].token, again[1].token] == [student.token for student in students]
+    # A file that others may read could have been changed: its tokens are not used again.
     links.chmod(0o644)
     assert read_class(path)[2].token != students[0].token
 
@@ -83,6 +86,7 @@ def test_links_are_private_and_stay_over_restarts(path: Path) -> None:
     (f"Ada,{ADA}\nBob,{ADA}\n", "line 2:", "this token"),
     ("Ada,,1,2\n", "line 1:", "quotes"),
     (",x\n", "line 1:", "1 to 40"),
+    # A spreadsheet would take such a name for a formula.
     ("=1+2\n", "line 1:", "= + - @"),
     ("Ada;7\n", "line 1:", "commas"),
     ("name\nTeacher\n", "line 2:", "another"),
@@ -111,6 +115,7 @@ def test_tokens_that_others_may_read_are_refused(path: Path) -> None:
 def test_links_in_unusable_folder_are_an_error(path: Path) -> None:
     # Something else stands there: no secret is left in another file.
     links_path(path).mkdir()
+    # The temporary file with the tokens must be removed too.
     with pytest.raises(ClassFileError, match="folder"):
         write_links(path, STUDENTS, "http://lab", "nserver://lab")
     assert [file.name for file in path.parent.iterdir()] == ["students.links.csv"]
@@ -137,6 +142,7 @@ def test_thirty_starts_of_the_arena_have_room_ahead() -> None:
         robot.move_relative(ROOM_AHEAD_IN, 0.0, 0.0)
     arena.step(10.0)
     for number, robot in arena.robots.items():
+        # All of ROOM_AHEAD_IN, 24 in, but for rounding.
         assert math.hypot(robot.actual.x_in - starts[number].x_in, robot.actual.y_in - starts[number].y_in) > 23.9
 
 
@@ -193,6 +199,7 @@ async def test_student_acts_on_own_robot_alone(classroom: Any) -> None:
     here, _, ada = classroom
     numbers = iter(range(100))
     robots = here.daemon.emulator.simulation.robots
+    # Everything a student needs with the own robot.
     for allowed in (
         {"do": "call", "robot": 1, "call": "vm", "args": [10, 0, 0]}, {"do": "drive", "robot": 1, "args": [0, 0, 0]},
         {"do": "stop", "robot": 1}, {"do": "release", "robot": 1}, {"do": "reset", "robot": 1}, {"do": "gallery"},
@@ -200,6 +207,7 @@ async def test_student_acts_on_own_robot_alone(classroom: Any) -> None:
     ):  # fmt: skip
         assert (await ask(ada, numbers, **allowed))["ok"], allowed
     before = robots[2].actual
+    # The robot of another student, the clock, the world, and all robots at once.
     for refused in (
         {"do": "call", "robot": 2, "call": "vm", "args": [10, 0, 0]}, {"do": "drive", "robot": 2, "args": [9, 0, 0]},
         {"do": "stop", "robot": 2}, {"do": "stop"}, {"do": "release"}, {"do": "reset"}, {"do": "reset", "robot": 2},
@@ -211,6 +219,7 @@ async def test_student_acts_on_own_robot_alone(classroom: Any) -> None:
         answer = await ask(ada, numbers, **refused)
         assert not answer["ok"], refused
         assert "teacher" in answer["error"] or "robot 1 only" in answer["error"]
+    # Messages without an id get an answer without one.
     click = {"do": "click", "robot": 2, "pose": [0, 0, 0, 0]}
     for silent in (click, {"do": "waypoints", "robot": 2, "points": []}):
         await ada.send_message(**silent)
@@ -228,6 +237,7 @@ async def test_only_teacher_releases_what_teacher_stopped(classroom: Any) -> Non
     assert (await ask(teacher, numbers, do="release"))["held"] == {}
     # A student who has stopped the robot before does not release it either, nor what `nserver ctl stop` has stopped.
     for by in ("teacher (viewer 1)", "nserver ctl"):
+        # The robot is held by two; a student may release only what students alone have stopped.
         await ask(ada, numbers, do="stop", robot=1)
         here.daemon.hold([1], by)
         refused = await ask(ada, numbers, do="release", robot=1)
@@ -248,6 +258,7 @@ async def test_reset_returns_robots_as_starts_become_free(classroom: Any) -> Non
     world.place(2, 0.0, 50.0, 0.0, 0.0)
     world.place(1, 30.0, 0.0, 1.0, 1.0)
     assert (await ask(teacher, numbers, do="reset", robot=2))["error"].startswith("reset: no room")
+    # All robots are returned together: a start that another one occupies becomes free.
     assert (await ask(teacher, numbers, do="reset"))["ok"]
     assert {number: robot.actual for number, robot in world.robots.items()} == starts
     assert world.robots[1].encoder == starts[1]
@@ -258,6 +269,7 @@ async def test_programs_of_each_robot_are_shown(classroom: Any) -> None:
     here, teacher, _ = classroom
     _, writer = await asyncio.open_connection(HOST, here.daemon.emulator.port)
     writer.write(codec.encode_tcp_request(Call("connect_robot", (2, 1))))
+    # The client's own address is how the server names it.
     name = "{}:{}".format(*writer.get_extra_info("sockname"))
     await teacher.until(lambda message: message["type"] == "programs" and message["robots"] == {"2": [name]})
     writer.close()
@@ -267,6 +279,7 @@ async def test_programs_of_each_robot_are_shown(classroom: Any) -> None:
 @pytest.mark.long
 async def test_pages_of_students_do_not_keep_the_teacher_out(classroom: Any) -> None:
     here, *_ = classroom
+    # Two viewers are allowed and present; the limit does not apply to the teacher.
     here.daemon.admission.limits = Limits(viewers=2)
     with pytest.raises(WSServerHandshakeError, match="503"):
         async with here.page(BOB):
@@ -278,6 +291,7 @@ async def test_pages_of_students_do_not_keep_the_teacher_out(classroom: Any) -> 
 async def test_publishing_with_a_students_token(classroom: Any) -> None:
     here, *_ = classroom
     estimate = json.dumps(GOOD)
+    # Own robot, another's robot, an unknown token, a token for watching only.
     for token, status in ((ADA, 200), (BOB, 400), ("c" * 20, 403), (here.viewer_server.watch_token, 403)):
         async with here.web.post(f"{here.origin}/publish", params={"token": token}, data=estimate) as reply:
             assert reply.status == status
@@ -289,4 +303,5 @@ def test_access_of_tokens() -> None:
     assert server._access_of(BOB) == Access(may_act=True, robot=2, name="Bob")
     assert server._access_of(server.watch_token) == Access(may_act=False)
     assert server._access_of(server.token) == Access(may_act=True, name="teacher")
+    # A character outside ASCII must not raise an error in the comparison of tokens.
     assert server._access_of("ä") is None

@@ -20,6 +20,7 @@ async def test_pose_requests_are_sent_once_and_withdrawn() -> None:
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
         assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}
         context = ConnectionContext(robot_id=1)
+        # A client waits for a pose to be clicked in the page (get_robot_conf).
         clicked = here.daemon.emulator.pose_requests.add(1, context, lambda: (0, 0, 0, 0))
         assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {"1": 1}
         await page.send_message(do="click", robot=1, pose=[1, 2, 3, 4])
@@ -86,7 +87,9 @@ async def test_slow_robot_gets_only_the_latest_velocities() -> None:
     # 1. While the first velocities are not answered, later ones replace each other.
     for speed in range(1, 10):
         robots.drive(1, [speed, 0, 0], 0.0, answers.append)
+    # The slow robot has received the first velocities only; of the eight others the last one waits.
     assert slow.calls[1:] == [("vm", 1, 0, 0)]
+    # Those that were replaced are answered at once: 2 to 8.
     assert len(answers) == 7
     await answer_one()
     assert slow.calls[2:] == [("vm", 9, 0, 0)]

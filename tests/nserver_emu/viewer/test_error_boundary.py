@@ -38,6 +38,7 @@ def test_an_error_is_logged_once_and_then_counted(caplog: pytest.LogCaptureFixtu
 
 
 def test_what_is_no_fault_passes() -> None:
+    # CancelledError is how asyncio ends a task: it must never be caught.
     with pytest.raises(asyncio.CancelledError), ErrorBoundary().guard("it"):
         raise asyncio.CancelledError
 
@@ -48,6 +49,7 @@ async def test_a_failing_picture_stops_nothing_else(
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page, here.page() as other:
         robot = here.daemon.emulator.simulation.robots[1]
         with monkeypatch.context() as broken:
+            # Pictures fail from here on, but messages and the drive timeout must work.
             broken.setattr(scene, "_now", trouble)
             await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
             assert (await page.answer(1))["ok"]
@@ -70,6 +72,7 @@ async def test_a_failing_stop_closes_the_connection_instead(
     honest = ViewerClient.call
 
     def no_stop(client: ViewerClient, name: str, *rest: Any) -> None:
+        # Stopping the robot fails; the connection is closed instead, which stops it as well.
         if name == "st":
             trouble()
         honest(client, name, *rest)
@@ -110,6 +113,7 @@ async def test_leaving_answers_pending_calls_with_an_error() -> None:
         here.daemon.emulator.clock.paused = True
         here.viewer_server.controller.clients(viewer).call(1, "vm", [0, 100, 0], lambda _: None)
         here.daemon.step(0.2)
+        # zr turns for some seconds, and the clock is paused: its reply is pending when the page closes.
         here.viewer_server.controller.clients(viewer).call(1, "zr", [], picture.append)
         assert picture == []
         here.viewer_server.controller.clients(viewer).close()

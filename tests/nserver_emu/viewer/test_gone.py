@@ -17,12 +17,15 @@ from nserver_emu.viewer.scene import Viewer
 from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
+# Timeouts are shortened to this; measured times may be longer by 2 s on a busy machine.
 SHORT_S = 0.4
 HANDSHAKE = (
     "GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n"
     "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
 )
+# A mask of zeros leaves the payload as it is (RFC 6455).
 MASK = b"\0\0\0\0"
+# More than the socket buffers of both ends hold together, so that bytes remain unsent.
 MORE_THAN_LINES_HOLD = 20_000_000
 MUCH = 100
 
@@ -54,6 +57,7 @@ async def forgotten(here: Served) -> float:
 
 
 def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
+    # 1.5 heartbeats (a ping and half an interval for the pong), or the time without progress.
     assert max(1.5 * http_port.HEARTBEAT_S + 1.0, http_port.STALLED_S + 1.0) <= http_port.CONNECTION_LOST_S
 
 
@@ -84,6 +88,7 @@ async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
     """Say that a picture was drawn, again and again."""
     payload = json.dumps({"do": "seen", "frame": 1}).encode()
     while True:
+        # Header of a frame: 81 is a final text frame, then the mask bit and the length.
         await loop.sock_sendall(end, bytes([0x81, 0x80 | len(payload)]) + MASK + payload)
         await asyncio.sleep(0.05)
 
@@ -112,6 +117,7 @@ async def test_a_page_that_floods_does_not_block_others(monkeypatch: pytest.Monk
             while len(turns) < MUCH:
                 await asyncio.sleep(0)
                 turn += 1
+        # Each message was handled in a turn of its own.
         assert len(set(turns)) == MUCH
 
 
@@ -144,6 +150,7 @@ async def test_pages_are_informed_when_the_daemon_ends() -> None:
         while (await page.socket.receive()).type.name not in ("CLOSE", "CLOSED"):
             pass
         await closing
+        # 1001: going away (RFC 6455).
         assert page.socket.close_code == 1001
 
 
@@ -163,6 +170,7 @@ async def refusals(here: Served) -> None:
 async def torn_off(here: Served) -> None:
     page = await dumb_page(here)
     # An end without goodbye.
+    # SO_LINGER with 0 s: RST instead of FIN.
     page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     page.close()
     await forgotten(here)
@@ -177,10 +185,12 @@ async def test_errors_hold_no_frames_until_garbage_collection(act: Callable[[Ser
         await act(here)
         gc.collect()
         gc.disable()
+        # DEBUG_SAVEALL puts everything that only the collector can free into gc.garbage.
         gc.set_debug(gc.DEBUG_SAVEALL)
         try:
             await act(here)
             gc.collect()
+            # A frame or traceback in a cycle holds all local variables of its functions.
             held = [thing for thing in gc.garbage if isinstance(thing, types.FrameType | types.TracebackType)]
         finally:
             gc.set_debug(0)

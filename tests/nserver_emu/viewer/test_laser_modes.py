@@ -14,6 +14,7 @@ from tests.nserver_emu.viewer.page_client import Page, serve_viewer
 from worlds.io import load_world
 from worlds.world import StartPose
 
+# Mode 50 has bit 0 cleared: the laser is off.
 NULL_RECORDER, LINES, POINTS = 50, 33, 51
 
 
@@ -34,6 +35,7 @@ def test_the_laser_disappears_when_all_clients_switch_it_off() -> None:
     history = SceneHistory(two_robots())
 
     def look(modes: dict[int, list[tuple[str, int]]]) -> Any:
+        # LASER_INTERVAL pictures, so that the laser is measured once.
         before = history.number
         for _ in range(LASER_INTERVAL):
             history.take(lasers=None, modes=modes)
@@ -43,6 +45,7 @@ def test_the_laser_disappears_when_all_clients_switch_it_off() -> None:
     assert set(picture["lasers"]) == {"1"}
     assert picture["laser_modes"] == {"1": [("a", POINTS)], "2": [("b", NULL_RECORDER)]}
     picture = look({1: [("a", NULL_RECORDER)], 2: [("b", NULL_RECORDER)]})
+    # An empty list once, so that the page clears the points; then nothing.
     assert picture["lasers"] == {}
     picture = look({1: [("a", NULL_RECORDER)], 2: [("b", NULL_RECORDER)]})
     assert not {"lasers", "laser_modes"} & set(picture)
@@ -68,6 +71,7 @@ async def test_clients_are_listed_with_modes_and_pages_are_not() -> None:
         await page.answer(1)
         await page.until(lambda message: set(message.get("lasers", ())) == {"1", "2"})
         await asyncio.to_thread(two_clients, dict(here.daemon.lines())["nserver"])
+        # The client of robot 1 has the laser off, so only that of robot 2 is shown.
         last = await page.until(lambda message: message.get("lasers", {}).keys() == {"2"})
         assert "laser_modes" not in last or last["laser_modes"]["1"]
         modes = laser_modes(here.daemon.connections, (1, 2))
@@ -88,6 +92,7 @@ def test_of_many_clients_those_with_the_laser_on_come_first() -> None:
             context = type("Context", (), {"robot_id": 1, "wire_state": wire_state})()
             self.session = type("Session", (), {"context": context, "name": name})()
 
+    # More clients than are named; the one with the laser on is the last by name.
     crowd: list[Any] = [Connection(f"client {number:02}", NULL_RECORDER) for number in range(2 * MAX_NAMED)]
     crowd.append(Connection("z", POINTS))
     named = laser_modes(crowd, (1,))[1]

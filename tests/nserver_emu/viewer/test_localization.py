@@ -28,6 +28,7 @@ from tests.nserver_emu.server.wire_client import simulation
 from tests.nserver_emu.viewer.page_client import serve_viewer
 
 GOOD: dict[str, Any] = {
+    # One valid estimate; the tests below change one field of it at a time.
     "robot": 1, "clock_s": 1.5, "pose": [1, 2, 0.1], "turret": 0.2, "cov": [[1, 0, 0], [0, 2, 0], [0, 0, 3]],
     "odometry": [1, 2, 3], "truth": None, "waypoints": [[5, 6]], "passed": 0, "trust": "LOST", "reason": "2 look alike",
     "places": [{"pose": [1, 2, 0.1], "share": 0.7}, {"pose": [9, 8, -3], "share": 0.3}],
@@ -42,6 +43,7 @@ def test_refusals_have_the_filter_s_own_names() -> None:
 
 def test_what_is_right_comes_through() -> None:
     message = parse_estimate(json.dumps(GOOD | {"more": 1}))
+    # Unknown keys are dropped, the covariance is flattened row by row.
     assert message == GOOD | {"cov": [1, 0, 0, 0, 2, 0, 0, 0, 3], "began": False}
     assert parse_estimate(json.dumps(GOOD | {"truth": [1, 2, 3]}))["truth"] == [1, 2, 3]
 
@@ -50,6 +52,7 @@ def test_what_is_right_comes_through() -> None:
     "change",
     [{"pose": [1, 2]}, {"pose": None}, {"clock_s": "x"}, {"clock_s": float("nan")}, {"cov": [1, 2, 3]}, {"robot": None},
      {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]},
+     # Covariances: a negative variance, a correlation above 1, and (below) not symmetric.
      {"pose": [1e308, 0, 0]}, {"cov": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 2, 0], [2, 1, 0], [0, 0, 1]]},
      {"echoes": [GOOD["echoes"][0] | {"sonar": 64}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
      {"robot": 1e30}, {"passed": -1}, {"passed": True}, {"clock_s": "1"}, {"turret": True}, {"clock_s": 10**400},
@@ -63,6 +66,7 @@ def test_what_is_right_comes_through() -> None:
      {"places": [{"pose": [1, 2, 3], "share": 0.6}] * 2}, {"places": {"pose": [1, 2, 3]}}, {"places": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
+    # The error names the field that was changed.
     with pytest.raises(InvalidMessage, match=rf"estimate: {next(iter(change))}"):
         parse_estimate(json.dumps(GOOD | change))
 
@@ -95,6 +99,7 @@ def test_an_old_estimate_is_not_sent_to_new_pages() -> None:
         message = [json.loads(text) for text in controller.connect_page(now, Access(may_act=False)).take_messages()]
         return [message["age_s"] for message in message if message["type"] == "localization"]
 
+    # Estimates carry their age, and are dropped when they are stale.
     assert ages(112.3) == [12.3]
     assert ages(100.0 + STALE_S) == []
 
@@ -103,6 +108,7 @@ def test_a_new_localizer_discards_old_waypoints() -> None:
     controller = ViewerController(Daemon(Emulator(simulation())), Broadcaster(SceneHistory(Emulator(simulation()))))
     viewer = controller.broadcaster.join(may_act=False)
     controller.set_waypoints(1, [[7, 8]])
+    # The new localizer has waypoints of its own, so those set before are cleared; `set` counts the changes.
     assert controller.publish(json.dumps(GOOD | {"began": True}), 1.0) == {"waypoints": [], "set": 2}
     message = [json.loads(text) for text in viewer.take_messages()]
     assert [(one["type"], one.get("points")) for one in message] == [

@@ -68,6 +68,7 @@ def test_methods_are_those_of_the_program() -> None:
 
 async def command_of(tmp_path: Path, robot_setup: str, **options: Any) -> tuple[Sequence[str], str]:
     """Return the arguments and the published address that a localizer gets."""
+    # The localizer is a shell script that writes its arguments to a file and ends, which counts as failed.
     file = tmp_path / "arguments"
     async with running(f'printf "%s\\n" "$@" $NOMAD_PUBLISH >{file}') as here:
         robot = here.daemon.emulator.simulation.robots[1]
@@ -82,6 +83,7 @@ async def test_command_has_robot_map_and_models(tmp_path: Path) -> None:
     arguments, url = await command_of(tmp_path, "ideal")
     assert arguments[:2] == ["localize", "nserver://127.0.0.1:7019/1"]
     assert " --stay --json --time-limit 1e+09 --method ekf --sonars rays --save" in " ".join(arguments)
+    # The address with the token is in the environment: arguments are visible to all users (ps).
     assert url == "http://127.0.0.1:7080/?token=secret"
     assert "secret" not in " ".join(arguments)
 
@@ -101,6 +103,7 @@ async def test_only_own_filters_of_the_start_are_run(tmp_path: Path) -> None:
 
 async def test_command_fits_the_noise(tmp_path: Path) -> None:
     arguments, _ = await command_of(tmp_path, "measured", is_lost=True, resumes=True)
+    # Cones for measured sonars; for worn wheels, the std of the scales.
     assert " --start unknown --sonars cones --save" in " ".join(arguments)
     arguments, _ = await command_of(tmp_path, "worn")
     assert " --sonars rays --scale-std 0.05,0.05,0.003 --save" in " ".join(arguments)
@@ -124,12 +127,15 @@ async def test_stopped_process_ends_and_is_reported() -> None:
     async with running(f"echo $$; {WAITS}") as here:
         here.localizers.start(1, "finder", is_lost=True)
         here.localizers.mark_published(1)
+        # "running" begins with the first published estimate.
         shown = await here.until("running")
+        # A robot without localizer: no effect.
         here.localizers.mark_published(2)
         here.localizers.stop(1)
         ended = {"method": "finder", "state": "ended", "words": "stopped", "has_old_map": False}
         assert await here.until("ended") == ended
         assert shown["words"] == ""
+        # Stopping twice is no error.
         here.localizers.stop(1)
 
 
@@ -141,14 +147,17 @@ async def test_new_localizer_replaces_the_one_before(tmp_path: Path) -> None:
             while not pids.exists():
                 await asyncio.sleep(0.01)
             folder = next(Path(word).parent for word in pids.read_text().split() if word.endswith(".toml"))
+            # The first localizer has saved an estimate...
             (folder / "robot_1_estimate.json").write_text("{}")
             here.localizers.start(1, "mcl", is_lost=False, resumes=True)
             while len(pids.read_text().splitlines()) < 2:
                 await asyncio.sleep(0.01)
     first, second = pids.read_text().splitlines()
     assert "--resume" not in first
+    # ... with which the second one begins.
     assert f"--resume {folder}/robot_1_estimate.before" in second
     for line in (first, second):
+        # Signal 0 tests if a process exists.
         with pytest.raises(ProcessLookupError):
             os.kill(int(line.split()[0]), 0)
     assert not folder.exists()
@@ -156,6 +165,7 @@ async def test_new_localizer_replaces_the_one_before(tmp_path: Path) -> None:
 
 async def test_process_that_ignores_signals_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(localizers, "END_S", 0.1)
+    # SIGTERM is ignored, so SIGKILL must follow after END_S.
     async with running('trap "" TERM; echo ready; while :; do sleep 0.2; done') as here:
         here.localizers.start(1, "ekf", is_lost=False)
         async with asyncio.timeout(10):
@@ -192,6 +202,7 @@ async def test_process_ends_however_often_it_is_stopped(monkeypatch: pytest.Monk
             await asyncio.sleep(0.01)
         here.localizers.start(1, "ekf", is_lost=False)
         await here.localizers.close()
+        # Stopped three times and then replaced: the first process must not be left.
         assert not is_alive(pid)
 
 
@@ -199,6 +210,7 @@ async def test_start_and_stop_at_once_end_the_one_before() -> None:
     async with running(f"echo $$; {WAITS}") as here:
         here.localizers.start(1, "ekf", is_lost=False)
         pid = await pid_of(here)
+        # The second is stopped before the first has ended: neither may be left.
         here.localizers.start(1, "mcl", is_lost=False)
         here.localizers.stop(1)
         await here.until("ended")
@@ -214,6 +226,7 @@ async def test_localizer_that_cannot_be_started_replaces_none(monkeypatch: pytes
         def fail(_robot: int) -> Path:
             raise OSError(28, "No space left on device")
 
+        # The map of the new one cannot be written: the old one must continue.
         monkeypatch.setattr(here.localizers, "_write_map", fail)
         with pytest.raises(InvalidMessage, match="TMPDIR"):
             here.localizers.start(1, "mcl", is_lost=False)
@@ -238,6 +251,7 @@ async def test_changed_world_makes_the_map_old() -> None:
         changed = world.with_inner_wall(0, (20.0, 20.0, 30.0, 20.0))
         # People who walk are in no map.
         walked = replace(world, walkers=(Walker(((30.0, 30.0), (30.0, 40.0))),))
+        # Each change is compared with the world at the start; walkers are not part of a map.
         for now, is_old in ((world, False), (changed, True), (world, False), (changed, True), (walked, False)):
             simulated.change_world(now)
             here.localizers.check_maps()
@@ -255,6 +269,7 @@ async def test_words_do_not_have_the_token() -> None:
     ("script", "words"),
     [("echo 'nomad: --publish needs x: pip install y' >&2; exit 1", "--publish needs x: pip install y"),
      ("echo Traceback >&2; exit 1", "exit code 1: Traceback"), ("exit 2", "exit code 2: without a word"),
+     # Two megabytes without a newline: output is read in bounded pieces.
      ("head -c 2000000 /dev/zero", "exit code")],
 )  # fmt: skip
 async def test_failure_is_reported_with_its_remedy(script: str, words: str) -> None:
@@ -307,6 +322,7 @@ async def test_map_has_the_poses_where_encoders_were_right(tmp_path: Path) -> No
         await page.until(lambda message: message["type"] == "localizers" and message["robots"]["1"]["state"] == "failed"
                          if message.get("robots") else False)
     starts = [(start.x_in, start.y_in) for start in load_world(file).starts]
+    # The poses where encoders were set: at power-on, and by place_robot.
     assert starts == [(0.0, 0.0), (30.0, 20.0)]
 
 
@@ -317,6 +333,7 @@ async def test_encoders_do_not_notice_a_kidnapping() -> None:
         await page.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 450])
         await page.answer(1)
         before = robot.encoder
+        # The second pose is outside the room: refused, and nothing changes.
         for number, pose, is_ok in ((2, [500, 600, 0, 0], True), (3, [-100, 0, 0, 0], False)):
             await page.send_message(do="kidnap", id=number, robot=1, pose=pose)
             assert (await page.answer(number))["ok"] == is_ok

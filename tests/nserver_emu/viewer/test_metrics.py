@@ -43,6 +43,7 @@ def test_a_clock_that_stands_is_not_well() -> None:
     daemon = Daemon(Emulator(simulation()))
     assert not health(daemon, 2 * STUCK_S)[0], "it has not begun"
     daemon.ticked_s = 100.0
+    # The clock's last step is the measure: below STUCK_S it is well.
     assert health(daemon, 100.0 + STUCK_S - 0.1) == (
         True, {"status": "ok", "clock_age_s": STUCK_S - 0.1, "simulated_s": 0.0, "paused": False},
     )  # fmt: skip
@@ -54,6 +55,7 @@ async def test_what_clients_did_is_counted_after_they_are_gone() -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
         writer.write(codec.encode_tcp_request(Call("connect_robot", (1, 1))) + codec.encode_tcp_request(Call("gs")))
         writer.write(codec.encode_tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
+        # CONNECT: 4 + 4 bytes. State: 4 + 49 words (45 of State, laser count, clock, two voltages). Error: 4 + 4.
         await reader.readexactly(8 + 4 + 4 * 49 + 8)
         for connections in (1, 0):
             async with here.web.get(f"{here.origin}/metrics") as answer:
@@ -63,6 +65,7 @@ async def test_what_clients_did_is_counted_after_they_are_gone() -> None:
             assert f"nserver_connections {connections}\n" in text
             assert "nserver_answers_total 3\n" in text
             assert "nserver_refusals_total 1\n" in text
+            # Only open connections have a time of their own; the total includes closed ones.
             times = re.findall(r'nserver_connection_cpu_seconds_total\{connection="(\d+)"\} (\S+)\n', text)
             clients = here.daemon.connected_clients()
             assert [(int(number), round(float(cpu_s), 6)) for number, cpu_s in times] == [

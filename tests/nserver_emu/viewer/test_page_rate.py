@@ -22,6 +22,7 @@ async def test_messages_beyond_the_rate_wait_in_order(monkeypatch: pytest.Monkey
     async def sleep(seconds: float) -> None:
         waits.append(seconds)
 
+    # Ten messages a second; the bucket holds five. The clock stands, so the sixth waits 1/10 s, the next 2/10 s.
     limit = TokenBucket(10, 5, 0.0)
     monkeypatch.setattr(http_port, "loop_time", lambda: 0.0)
     monkeypatch.setattr(asyncio, "sleep", sleep)

@@ -51,6 +51,7 @@ async def test_messages_of_every_length_arrive() -> None:
     empty = len(json.dumps({"type": "x", "text": ""}))
 
     async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
+        # Lengths of a websocket frame: 7 bits up to 125, 16 bits up to ffff, 64 bits above.
         for size in (empty, 125, 126, 0xFFFF, 0x10000, 20 * 0xFFFF):
             text = "x" * (size - empty)
             here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": text}))
@@ -66,6 +67,7 @@ def test_a_slow_page_is_skipped_and_not_closed() -> None:
     assert not writer.is_ready(2.0)
     now = 2.0
     while line.unsent > 1:
+        # Some bytes are taken shortly before each timeout: slow, but not stalled.
         line.unsent -= 111
         now += STALLED_S - 0.1
         assert not writer.is_ready(now)

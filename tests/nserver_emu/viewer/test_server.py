@@ -32,6 +32,7 @@ def an_emulator() -> Emulator:
 
 async def test_the_page_needs_a_token_and_loads_nothing_external() -> None:
     async with serve_viewer(an_emulator()) as here:
+        # No token, a wrong one, and the right one without its last character.
         for token in ("", "wrong", here.viewer_server.token[:-1]):
             async with here.web.get(here.origin, params={"token": token}) as answer:
                 assert answer.status == 403
@@ -40,11 +41,13 @@ async def test_the_page_needs_a_token_and_loads_nothing_external() -> None:
             async with here.web.get(here.origin, params={"token": token}) as answer:
                 assert answer.status == 200
                 assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+                # No address of another machine: the page must work in a laboratory without internet.
                 text = await answer.text()
                 assert "http:" not in text
                 assert "https:" not in text
         async with here.web.get(here.origin) as answer:  # a reload: the tab has its token to itself
             assert (answer.status, await answer.text()) == (200, text)
+        # The websocket does need the token, although the page itself is sent again.
         with pytest.raises(aiohttp.WSServerHandshakeError):
             await here.web.ws_connect(f"{here.origin}/ws", headers={"Origin": here.origin})
         async with here.web.get(f"{here.origin}/page/main.js") as answer:
@@ -54,6 +57,7 @@ async def test_the_page_needs_a_token_and_loads_nothing_external() -> None:
 
 
 async def test_files_are_compressed_for_those_that_accept_it() -> None:
+    # The client must not decompress: the size of the body on the wire is compared.
     bodies, sizes = [], []
     async with serve_viewer(an_emulator()) as here, aiohttp.ClientSession(auto_decompress=False) as web:
         for encoding in ("identity", "deflate"):
@@ -66,6 +70,7 @@ async def test_files_are_compressed_for_those_that_accept_it() -> None:
     assert sizes[1] < sizes[0] / 2
 
 
+# No Origin (no browser), another site, another port, a sandboxed page, and one that cannot be parsed.
 @pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null", "http://["])
 async def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
     async with serve_viewer(an_emulator()) as here:
@@ -79,6 +84,7 @@ async def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
 
 async def test_an_unknown_host_name_is_refused() -> None:
     async with serve_viewer(an_emulator()) as here:
+        # DNS rebinding: another site's name that resolves to this machine must not get the page.
         name = f"evil.example:{here.port}"
         headers = {"Host": name, "Origin": f"http://{name}"}
         for params in ({"token": here.viewer_server.token}, {}):
@@ -111,6 +117,7 @@ async def test_a_viewer_gets_pictures_until_it_leaves() -> None:
         async with here.page() as page:
             hello = await page.until(lambda message: message["type"] == "hello")
             assert (hello["may_act"], hello["watch_token"]) == (True, here.viewer_server.watch_token)
+            # The first picture is whole (since 0); later ones are the difference to the one before.
             first = await page.until(lambda message: message["type"] == "picture")
             later = await page.until(lambda message: message.get("frame", 0) >= first["frame"] + 5)
             assert first["since"] == 0
@@ -126,8 +133,10 @@ async def test_a_slow_viewer_gets_pictures_again_after_catching_up() -> None:
     async with serve_viewer(an_emulator()) as here, here.page() as page:
         (viewer,) = here.viewer_server.broadcaster.viewers
         async with asyncio.timeout(5):
+            # No picture is acknowledged here, so after some of them the viewer counts as behind.
             while not viewer.is_behind:
                 await asyncio.sleep(0.02)
+        # While it is behind, no further picture is sent.
         held = viewer.latest
         await asyncio.sleep(0.3)
         assert viewer.latest == held
@@ -140,11 +149,13 @@ async def test_a_watcher_may_do_nothing_else() -> None:
         assert (hello["may_act"], hello["watch_token"]) == (False, None)
         await page.send_message(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
         assert "only looks" in (await page.answer(4))["error"]
+        # The refused vm must not have moved the robot.
         assert here.daemon.emulator.simulation.robots[1].is_still((0, 1, 2))
         assert not here.daemon.emulator.pose_requests.open
         await page.socket.send_str("nonsense")
         assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
         await page.socket.ping()
+        # Watching is the one thing that this link may do.
         await page.send_message(do="watch", traffic=True, laser=True)
         viewers = here.viewer_server.broadcaster
         await page.until(lambda message: message["type"] == "picture" and viewers.watch_traffic)
@@ -156,17 +167,21 @@ async def test_a_call_of_a_page_acts_as_a_clients() -> None:
         await page.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 0])
         assert (await page.answer(1))["ok"]
         shown = await page.until(lambda message: message["type"] == "picture")
+        # x 30 in, y 20 in, steering 90 deg: the units of State are tenths.
         assert shown["robots"]["1"]["state"][34:37] == [300, 200, 900]
+        # Inside a wall: the reply has the error code of the protocol, 2.
         await page.send_message(do="call", id=2, robot=1, call="place_robot", args=[-120, 0, 0, 0])
         refused = await page.answer(2)
         assert (refused["ok"], refused["code"]) == (False, 2)
         await page.send_message(do="call", id=3, robot=7, call="st", args=[])
         assert "no robot 7" in (await page.answer(3))["error"]
+        # vm needs three numbers.
         await page.send_message(do="call", id=4, robot=1, call="vm", args=[1])
         assert "vm" in (await page.answer(4))["error"]
         await page.send_message(do="call", id=5, robot=1, call="vm", args=[50, 0, 0])
         assert (await page.answer(5))["ok"]
         assert not robots[1].is_still((0,))
+    # Closing the page is like closing a client's connection: the motion stops.
     async with asyncio.timeout(5):
         while not robots[1].is_still((0,)):
             await asyncio.sleep(0.01)
@@ -180,6 +195,7 @@ async def test_driving_stops_without_repeated_messages() -> None:
         await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
         await page.answer(1)
         began = clock()
+        # Without a repeated drive message the robot stops after DRIVE_TIMEOUT_S; the rest is for a busy machine.
         await page.until(lambda _: robot.is_still((0,)))
         assert DRIVE_TIMEOUT_S * 0.9 <= clock() - began < DRIVE_TIMEOUT_S + 1.0
         await page.send_message(do="drive", id=2, robot=1, args=[0, 0, 0])
@@ -200,6 +216,7 @@ async def test_the_owner_controls_time() -> None:
 
 async def test_what_is_no_message_is_answered_and_costs_nothing() -> None:
     async with serve_viewer(an_emulator()) as here, here.page(here.viewer_server.watch_token) as page:
+        # An integer of 400 digits, beyond any float, and text that is no JSON.
         for text in ('{"do":"waypoints","robot":1,"points":[[1' + "0" * 400 + ',0]]}', "{"):
             await page.socket.send_str(text)
             assert not (await page.until(lambda message: message["type"] == "answer"))["ok"]
@@ -222,8 +239,10 @@ async def test_a_driver_learns_of_other_drivers() -> None:
     async with serve_viewer(an_emulator()) as here, here.page() as one, here.page() as other:
         await one.send_message(do="drive", id=1, robot=1, args=[10, 0, 0])
         assert (await one.answer(1))["others"] == []
+        # The page is informed which other pages drive the same robot.
         await other.send_message(do="drive", id=1, robot=1, args=[-10, 0, 0])
         assert (await other.answer(1))["others"] == ["viewer 1"]
+        # After a stop the first page drives no more.
         await one.send_message(do="call", id=2, robot=1, call="st", args=[])
         await one.answer(2)
         await other.send_message(do="drive", id=2, robot=1, args=[-10, 0, 0])
@@ -283,6 +302,7 @@ async def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
 
 
 async def test_a_world_of_a_page_is_read_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The world is parsed in a thread, which waits here until the test lets it continue.
     may_go_on = threading.Event()
 
     def read_slowly(text: str, file: str) -> World:
@@ -306,6 +326,7 @@ async def test_a_world_of_a_page_is_read_in_a_thread(monkeypatch: pytest.MonkeyP
 
 
 async def test_a_world_that_is_read_at_the_end_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The page closes while its world is still being parsed.
     may_go_on, emulator = threading.Event(), an_emulator()
 
     def read_slowly(text: str, file: str) -> World:
@@ -318,6 +339,7 @@ async def test_a_world_that_is_read_at_the_end_is_dropped(monkeypatch: pytest.Mo
         await page.send_message(do="control", id=1, command="world set", argument=argument)
         await page.send_message(do="control", id=2, command="status")
         assert (await page.answer(2))["ok"]
+    # The result arrives after the end and must not replace the world.
     may_go_on.set()
     await asyncio.sleep(0.1)
     assert emulator.simulation.world.name == "thesis_room"
@@ -333,12 +355,14 @@ async def test_a_click_is_taken_where_a_client_waits_for_it() -> None:
 
 
 def test_pictures_come_evenly_at_twenty_a_second() -> None:
+    # 20 pictures a second on average, although each is 12 ms late.
     due = now = 100.0
     for _ in range(200):
         due = next_due(due, now)
         # The loop wakes late, and the picture takes its time.
         now = max(now, due) + 0.012
     assert (now - 100.0) / 200 == pytest.approx(PERIOD_S, rel=0.01)
+    # After a gap of 3 s no pictures are made up for.
     now += 3.0
     due = next_due(due, now)
     assert due == now
@@ -354,6 +378,7 @@ async def test_a_page_beyond_the_limit_is_refused() -> None:
                 await here.web.ws_connect(f"{here.origin}/ws", params=query, headers=headers)
             assert refusal.value.status == 503
             await page.until(lambda message: message["type"] == "picture")
+        # The place is free once the server has handled the close.
         while here.viewer_server.broadcaster.viewers:
             await asyncio.sleep(0.005)
         async with here.page() as page:

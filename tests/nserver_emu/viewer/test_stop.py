@@ -24,6 +24,7 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
+        # The program ignores all replies and repeats its command, also after the stop.
         writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
             writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
@@ -62,6 +63,7 @@ async def test_stop_holds_against_a_driving_program() -> None:
         answer = await page.answer(1)
         assert (answer["ok"], answer["held"]["1"]["by"]) == (True, hello["name"])
         at = robot.actual
+        # Ten pictures at rest, while the program continues to send vm every 20 ms.
         ignored = [(await picture(page, 0))["robots"]["1"]["held"] for _ in range(10)]
         assert robot.actual == at
         assert {hold["by"] for hold in ignored} == {"viewer 1"}
@@ -72,6 +74,7 @@ async def test_stop_holds_against_a_driving_program() -> None:
         assert shown["robots"]["1"]["held"]["by"] == "viewer 1"
         await other.send_message(do="release", id=1, robot=1)
         assert (await other.answer(1))["held"] == {}
+        # After the release the next vm of the program moves the robot, with no action of its own.
         await picture(page, 40, None, beyond=round(10 * at.x_in) + 1)
         assert robot.actual != at
 
@@ -89,12 +92,14 @@ async def test_a_page_cannot_move_a_held_robot() -> None:
             answer = await who.answer(2)
             assert (answer["ok"], answer["held"]) == (False, "viewer 1")
             assert answer["error"] == "robot 1 is held by viewer 1: release it first"
+            # Motions are refused for the page that stopped it, too; st and place_robot are not motions.
             for number, call, args in ((3, "pr", [10, 0, 0]), (4, "zr", []), (5, "lp", [])):
                 await who.send_message(do="call", id=number, robot=1, call=call, args=args)
                 assert not (await who.answer(number))["ok"]
             for number, call, args in ((6, "st", []), (7, "place_robot", [300, 200, 0, 0])):
                 await who.send_message(do="call", id=number, robot=1, call=call, args=args)
                 assert (await who.answer(number))["ok"]
+            # Zero velocities are a stop.
             await who.send_message(do="drive", id=8, robot=1, args=[0, 0, 0])
             assert (await who.answer(8))["ok"]
         assert robot.is_still((0, 1, 2))
@@ -103,6 +108,7 @@ async def test_a_page_cannot_move_a_held_robot() -> None:
 async def test_stop_applies_to_one_robot_or_to_all() -> None:
     emulator = Emulator(simulation())
     emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
+    # The program drives robot 2, which a stop of robot 1 must not affect.
     async with serve_viewer(emulator) as here, here.page() as page, a_program(emulator.port, 2):
         await page.send_message(do="stop", id=1, robot=1)
         assert list((await page.answer(1))["held"]) == ["1"]

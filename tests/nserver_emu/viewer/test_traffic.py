@@ -77,12 +77,15 @@ def test_rows_have_readable_text_and_bytes() -> None:
     ]  # fmt: skip
     assert [row["of"] for row in rows] == ["connect_robot", "connect_robot", "vm", "vm"]
     assert rows[2]["text"] == "vm 100 -50 0"
+    # Type 000c (vm), 3 words, 100 = 64, -50 = ffffffce.
     assert rows[2]["hex"].startswith("00 0c 00 03 00 00 00 64 ff ff ff ce")
     assert (rows[2]["size"], rows[2]["who"]) == (16, "client")
+    # Velocities are shown in inches and degrees per second.
     assert "v 10 -5 0" in rows[3]["text"]
     assert traffic_monitor.rows() == []
     assert rows[0]["parts"] == [["code", 102], ["pid", 4711], ["robot_id", 1]]
     assert rows[2]["parts"] == [["code", 12], ["translation", 100], ["steering", -50], ["turret", 0]]
+    # Only requests have named parts.
     assert rows[3]["parts"] == []
 
 
@@ -97,10 +100,12 @@ def test_arguments_are_named_or_numbered() -> None:
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_decoding_starts_with_the_connections_wire_state(wide: bool) -> None:
+    # 1. Before any page watches, the client chooses a word size and a mask.
     traffic_monitor, client, _ = listened(wide)
     client.ask("connect_robot", 1, 4711)
     client.ask("ct", *(1,) * 44)
     assert traffic_monitor.rows() == []
+    # 2. Decoding begins later, with that state: a wrong word size would give no frame.
     traffic_monitor.watched = True
     client.ask("gs")
     _request, reply = traffic_monitor.rows()
@@ -114,6 +119,7 @@ def test_what_is_too_much_is_counted_and_then_it_goes_on() -> None:
     client.ask("connect_robot", 1, 4711)
     for _ in range(MAX_ROWS):
         client.ask("gs")
+    # CONNECT and MAX_ROWS queries, two rows each.
     assert len(traffic_monitor.rows()) == MAX_ROWS
     assert traffic_monitor.missed == 2 * (MAX_ROWS + 1) - MAX_ROWS
     client.ask("gs")
@@ -125,12 +131,14 @@ def test_decoding_starts_between_two_requests() -> None:
     wire_state: list[WireState | None] = [None, agreed]
     traffic_monitor = TrafficMonitor(NULL_RECORDER, lambda _: wire_state[0], lambda: 0.0)
     tape = traffic_monitor.open("line", HANDSHAKE_FIRST, N200)
+    # 1. The wire state cannot be read yet, as during a request: nothing is decoded.
     frame = codec.encode_serial_request(Call("vm", (100, -50, 0)), agreed)
     tape.to_robot(frame)
     traffic_monitor.watched = True
     tape.to_robot(frame)
     tape.to_host(b"\x01")
     assert traffic_monitor.rows() == []
+    # 2. It has one: decoding begins with the next frame.
     wire_state.pop(0)
     tape.to_robot(frame)
     assert [row["text"] for row in traffic_monitor.rows()] == ["vm 100 -50 0"]
@@ -139,10 +147,12 @@ def test_decoding_starts_between_two_requests() -> None:
 def test_bytes_without_a_frame_are_shown_and_truncated() -> None:
     traffic_monitor = TrafficMonitor(NULL_RECORDER, lambda _: None, lambda: 0.0)
     traffic_monitor.watched = True
+    # A type that does not exist (7777), with one word and more zeros than are shown.
     traffic_monitor.open("client", TCP, N150).to_robot(b"\x77\x77\x00\x01" + bytes(2 * MAX_HEX))
     row = traffic_monitor.rows()[0]
     assert row["what"] == "error"
     assert "unknown message type" in row["text"]
+    # Two digits and a space per byte, without the last space.
     assert len(row["hex"]) == 3 * MAX_HEX - 1
 
 

@@ -31,6 +31,7 @@ async def test_no_plan_of_faults_touches_what_is_done_at_the_page(plan: str) -> 
         await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
         assert (await page.answer(1))["ok"]
         await page.send_message(do="control", id=2, command="faults set", argument={"text": plan, "file": "p"})
+        # From here on every frame of lines and clients is affected; the page's own calls are not.
         assert (await page.answer(2))["ok"]
         for number in range(3, 15):
             await page.send_message(do="drive", id=number, robot=1, args=[50, 0, 0])
@@ -45,6 +46,7 @@ async def test_no_plan_of_faults_touches_what_is_done_at_the_page(plan: str) -> 
         await page.send_message(do="control", id=21, command="faults counts")
         counts = (await page.answer(21))["said"]["counts"]
         assert list(counts) == ["nserver"]
+        # No rule has seen a frame of the page.
         assert all(rule["seen"] == 0 for rule in counts["nserver"].values())
 
 
@@ -54,6 +56,7 @@ async def test_an_unexpected_reply_closes_only_that_connection(caplog: pytest.Lo
         assert (await page.answer(1))["ok"]
         (viewer,) = here.viewer_server.broadcaster.viewers
         client = here.viewer_server.controller.clients(viewer)._clients[1]
+        # A reply of type 2 that nothing has requested.
         client._write(bytes([0, 2, 0, 0, 0]))
         assert "answers no request" in caplog.text
         assert client.session.closing

@@ -25,10 +25,12 @@ def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[i
     """Return the smallest fraction 0..1 of the path at which it meets the wall; empty if it does not."""
     (x, y), (dx, dy) = start, (end[0] - start[0], end[1] - start[1])
     px, py, qx, qy = wall[0] - x, wall[1] - y, wall[2] - wall[0], wall[3] - wall[1]
+    # Cramer's rule: fraction along the path, and along the wall.
     cross = dx * qy - dy * qx
     if cross:
         share, along = Fraction(px * qy - py * qx, cross), Fraction(px * dy - py * dx, cross)
         return [share] if 0 <= share <= 1 and 0 <= along <= 1 else []
+    # Parallel: no hit unless both are on one line; then the first common point.
     if dx * py - dy * px:
         return []
     square = dx * dx + dy * dy
@@ -51,6 +53,7 @@ def test_line_hits_agree_with_exact_fractions(
         nearest = float(min(shares))
         assert hit.x_in == pytest.approx(start[0] + nearest * (end[0] - start[0]), abs=1e-8)
         assert hit.y_in == pytest.approx(start[1] + nearest * (end[1] - start[1]), abs=1e-8)
+        # The normal faces the path: its component along the path is not positive.
         assert math.cos(hit.normal_rad - math.atan2(end[1] - start[1], end[0] - start[0])) <= 1e-9
 
 
@@ -60,6 +63,7 @@ def exact_sweeps(centre: tuple[int, int], radius: int, wall: tuple[int, ...]) ->
         digits.prec = 50
         px, py = Decimal(wall[0] - centre[0]), Decimal(wall[1] - centre[1])
         dx, dy = Decimal(wall[2] - wall[0]), Decimal(wall[3] - wall[1])
+        # The circle |p + t d| = r around the centre: a t^2 + 2 b t + c = 0.
         a, b, c = dx * dx + dy * dy, px * dx + py * dy, px * px + py * py - radius * radius
         discriminant = b * b - a * c
         if discriminant < 0:
@@ -75,10 +79,12 @@ def exact_sweeps(centre: tuple[int, int], radius: int, wall: tuple[int, ...]) ->
 def test_arc_hits_agree_with_fifty_digit_arithmetic(
     centre: tuple[int, int], radius: int, begin: int, end: int, walls: list[tuple[int, ...]]
 ) -> None:
+    # Offsets that no corner of the grid has, so that arcs do not begin exactly at walls.
     first, last = begin / 10 + 0.0123, end / 10 + 0.0456
     turn, sweep = math.copysign(1.0, last - first), abs(last - first)
     angles = [angle for wall in walls for angle in exact_sweeps(centre, radius, wall)]
     swept = sorted(turn * (angle - first) % math.tau for angle in angles)
+    # A hit within rounding of an end of the arc may or may not count: such examples are left out.
     near_an_end = [s for s in swept if min(abs(s - sweep), s, math.tau - s) < 1e-7]
     if near_an_end:
         return
@@ -90,6 +96,7 @@ def test_arc_hits_agree_with_fifty_digit_arithmetic(
         assert (hit.x_in, hit.y_in) == pytest.approx(
             (centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)), abs=1e-6
         )
+        # The path runs along the tangent, at right angles to the radius.
         assert math.cos(hit.normal_rad - (angle + turn * math.pi / 2)) <= 1e-7
 
 
@@ -98,6 +105,8 @@ WALL_AHEAD = np.array([[10.0, -5.0, 10.0, 5.0]])
 
 @pytest.mark.parametrize(
     ("start", "end", "expected"),
+    # From both sides; begin on the wall, end on it, just before it, at its end; a path of length 0 on it and beside
+    # it.
     [
         ((0, 0), (20, 0), Hit(10, 0, FACING_WEST)),
         ((20, 0), (0, 0), Hit(10, 0, 0.0)),

@@ -25,6 +25,7 @@ def emulator() -> Emulator:
 
 
 def test_doors_are_added_opened_moved_and_removed(emulator: Emulator) -> None:
+    # 1. A closed door is a wall; an open one is not.
     gate = {"put": [[100.0, 0.0], [100.0, 60.0]], "name": "gate", "open": False}
     walls = len(emulator.simulation.world.walls)
     assert change_door(emulator, gate) == {"doors": 1, "was": None, "is": gate}
@@ -33,16 +34,19 @@ def test_doors_are_added_opened_moved_and_removed(emulator: Emulator) -> None:
     assert len(emulator.simulation.world.walls) == walls
     # The name alone is the other state.
     assert change_door(emulator, door_words("gate"))["is"]["open"] is False
+    # 2. It is moved by a vector, and back by the reply's "was".
     moved = change_door(emulator, {"door": "gate", "by": [5, 0]})
     assert moved["is"]["put"] == [[105, 0], [105, 60]]
     assert change_door(emulator, {"door": "gate", "to": moved["was"]["put"]})["is"] == gate
     assert change_door(emulator, {"door": "gate", "remove": True}) == {"doors": 0, "was": gate, "is": None}
+    # A name may have spaces: the last word alone is the state.
     assert door_words("the front door close") == {"door": "the front door", "open": False}
 
 
 def test_walkers_are_added_moved_and_removed(emulator: Emulator) -> None:
     ada = {"put": [[100.0, 20.0], [180.0, 20.0]], "name": "Ada", "speed": 30.0, "radius": 8.0, "closed": False}
     assert change_walker(emulator, ada) == {"walkers": 1, "was": None, "is": ada}
+    # 30 in/s from (100, 20): after 1 s at x = 130.
     emulator.pass_time(1.0)
     x, y, radius = emulator.simulation.walkers[0].disc
     assert (x, y, radius) == pytest.approx((130.0, 20.0, 8.0))
@@ -50,6 +54,7 @@ def test_walkers_are_added_moved_and_removed(emulator: Emulator) -> None:
     change_walker(emulator, {"put": [[100, 80], [180, 80]]})
     emulator.pass_time(1.0)
     assert emulator.simulation.walkers[0].disc[0] == pytest.approx(160.0)
+    # A walker is found by its route.
     moved = change_walker(emulator, {"walker": ada["put"], "by": [0, 10]})
     assert moved["is"]["put"] == [[100, 30], [180, 30]]
     assert change_walker(emulator, {"walker": moved["is"]["put"]})["walkers"] == 1
@@ -88,6 +93,7 @@ def test_wrong_walker_changes_nothing(emulator: Emulator, change: dict[str, Any]
 
 
 def test_doors_and_walkers_are_limited(emulator: Emulator) -> None:
+    # All doors are open, so they do not block each other or the robot.
     for k in range(MAX_DOORS):
         change_door(emulator, {"put": [[150, 0], [150, 9]], "name": str(k), "open": True})
     with pytest.raises(ControlError, match="maximum"):
@@ -102,6 +108,7 @@ def test_robots_and_walkers_do_not_start_in_one_place(emulator: Emulator) -> Non
     change_walker(emulator, {"put": [[100, 50], [180, 50]]})
     with pytest.raises(ValueError, match="walker"):
         emulator.simulation.add_robot(2, StartPose(110.0, 50.0))
+    # The world as text has the walker, whose start is then occupied by a robot.
     text = format_world(emulator.simulation.world)
     change_walker(emulator, {"walker": [[100, 50], [180, 50]]})
     emulator.simulation.place(1, 100.0, 50.0, 0.0, 0.0)

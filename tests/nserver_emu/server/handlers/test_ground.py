@@ -40,9 +40,11 @@ def ahead(emulator: Emulator, client: WireClient) -> int:
 def test_an_obstacle_affects_sonar_and_wheels_until_deleted(emulator: Emulator, client: WireClient) -> None:
     empty = ahead(emulator, client)
     assert client.ask("add_obstacle", 4, *BOX).values == (0,)
+    # From the sonar ring (9.06 in) to the near face.
     assert ahead(emulator, client) == round(40 - 9.06)
     client.ask("vm", 200, 0, 0)
     emulator.simulation.step(5.0)
+    # The body (9.72 in) touches the face: 40 - 9.72 in.
     assert client.ask("get_rc").slots[34] == pytest.approx(400 - 97.2, abs=1)
     client.ask("place_robot", 0, 0, 0, 0)
     assert client.ask("delete_obstacle", 4, *BOX).values == (0,)
@@ -54,6 +56,7 @@ def test_an_obstacle_affects_sonar_and_wheels_until_deleted(emulator: Emulator, 
 @pytest.mark.parametrize("first", range(4))
 @pytest.mark.parametrize("direction", [1, -1])
 def test_an_obstacle_is_found_from_any_corner_and_direction(client: WireClient, first: int, direction: int) -> None:
+    # Four first corners and two directions: eight descriptions of the same polygon.
     corners = [BOX[k : k + 2] for k in range(0, 8, 2)][::direction]
     client.ask("add_obstacle", 4, *BOX)
     turned = [number for corner in corners[first:] + corners[:first] for number in corner]
@@ -63,10 +66,12 @@ def test_an_obstacle_is_found_from_any_corner_and_direction(client: WireClient, 
 
 def test_a_moved_obstacle_answers_where_its_corners_are_now(emulator: Emulator, client: WireClient) -> None:
     client.ask("add_obstacle", 4, *BOX)
+    # x + 5.0 in, y - 2.0 in.
     moved = tuple(at + (50 if k % 2 == 0 else -20) for k, at in enumerate(BOX))
     assert client.ask("move_obstacle", 4, *BOX, 50, -20).values == (4, *moved)
     assert ahead(emulator, client) == round(45 - 9.06)
     assert client.ask("move_obstacle", 4, *BOX, 50, -20).values == (2,)
+    # 40 in to the left it would overlap the robot.
     assert client.ask("move_obstacle", 4, *moved, -400, 0).values == (2,)
     assert client.ask("delete_obstacle", 4, *moved).values == (0,)
 
@@ -108,6 +113,7 @@ def test_a_new_world_has_no_obstacles_but_all_its_walls(emulator: Emulator, clie
 
 def test_a_robot_cannot_be_placed_where_an_obstacle_stands(client: WireClient) -> None:
     client.ask("add_obstacle", 4, *BOX)
+    # Inside the box; overlapping its face (31.0 + 9.72 > 40); just clear of it (30.2 + 9.72 < 40).
     assert client.ask("place_robot", 500, 0, 0, 0).values == (2,)
     assert client.ask("place_robot", 310, 0, 0, 0).values == (2,)
     assert client.ask("place_robot", 302, 0, 0, 0).values == (0,)
@@ -116,6 +122,7 @@ def test_a_robot_cannot_be_placed_where_an_obstacle_stands(client: WireClient) -
 def test_a_robot_cannot_be_placed_on_another(client: WireClient) -> None:
     client.ask("create_robot", 2, 1)
     client.ask("place_robot", 300, 0, 0, 0)
+    # 19.0 in are less than two radii of 9.72 in. Its own disc does not count.
     assert client.ask("place_robot", 190, 0, 0, 0).values == (2,)
     assert client.ask("place_robot", 301, 0, 900, 0).values == (0,)
 
@@ -124,6 +131,7 @@ def test_a_prediction_sees_the_other_robots(client: WireClient) -> None:
     client.ask("create_robot", 2, 1)
     client.ask("place_robot", 600, 600, 0, 0)
     client.ask("connect_robot", 1, 1)
+    # Distance of the centres, minus the other robot's radius and the sonar ring.
     assert client.ask("predict_sensors", 300, 600, 0, 0).values[17] == round(30 - 9.72 - 9.06)
 
 
@@ -131,6 +139,7 @@ def test_get_rpx_returns_actual_positions_by_robot_number(client: WireClient) ->
     client.ask("create_robot", 7, 1)
     client.ask("place_robot", 500, 600, 900, 450)
     client.ask("dp", 1, 2)
+    # Number of robots, then x, y and steering of each; dp does not change the actual position.
     assert client.ask("get_rpx").values == (2, 0, 0, 0, 500, 600, 900)
 
 
@@ -146,8 +155,10 @@ def test_a_prediction_equals_the_readings_at_that_pose(emulator: Emulator, clien
     before = client.ask("gs").slots
     predicted = client.ask("predict_sensors", 200, 300, 900, 3150)
     assert predicted.kind == "prediction"
+    # A prediction changes no sensor of the robot itself.
     assert client.ask("gs").slots == before
     client.ask("place_robot", 200, 300, 900, 3150)
+    # Rate 1: a whole ring is fired within the step.
     client.ask("conf_sn", 1, *range(16))
     emulator.simulation.step(1.0)
     slots = client.ask("gs").slots
@@ -203,12 +214,16 @@ def test_a_prepared_prediction_reads_no_sensor_again(emulator: Emulator, monkeyp
 
 def test_motion_check_returns_position_and_normal(client: WireClient) -> None:
     client.ask("add_obstacle", 4, *BOX)
+    # Thousandths of a tenth of an inch: a line of 100 in. The reply has thousandths of an inch and millionths of a
+    # radian.
     thousandths = (0, 0, 0, 1_000_000, 0)
     assert client.ask("motion_check", *thousandths).values == (1, 40_000, 0, round(math.pi * 1e6))
+    # 39.9 in: just before the box.
     assert client.ask("motion_check", 0, 0, 0, 399_000, 0).values == (0, 0, 0, 0)
     quarter = round(math.pi / 2 * 1000)
     arc = (1, 300_000, 0, 0, quarter, 300_000, 0, 0)
     assert client.ask("motion_check", *arc).values == (0, 0, 0, 0)
     hit = client.ask("motion_check", 1, 300_000, 0, 0, quarter, 300_000, 200_000, 0)
     assert hit.values[0] == 1
+    # A negative radius is refused.
     assert client.ask("motion_check", 1, 0, 0, 0, quarter, -10_000, 0, 0).values == (2,)

@@ -15,11 +15,13 @@ from nserver_emu.server.server_state import Allowed
 from tests.nserver_emu.server.wire_client import meet, simulation
 from worlds.world import Polygon, World
 
+# A twelve-sided pillar whose corners have more decimals than tenths, or the page, show.
 TWELVE = tuple(
     (60.123456789 + 9 * math.cos(k * math.tau / 12), 50.1 + 9 * math.sin(k * math.tau / 12)) for k in range(12)
 )
 ROOM = Polygon(((-30.0, -30.0), (120.0, -30.0), (120.0, 120.0), (-30.0, 120.0)), "hall")
 TABLE = Polygon(((20.25, 80.0), (30.1, 80.0), (30.1, 90.0)), "table")
+# The page shows three decimals; within 0.002 in they identify the obstacle.
 DISPLAYED = [[round(x, 3), round(y, 3)] for x, y in TWELVE]
 
 
@@ -36,6 +38,7 @@ def test_obstacles_with_many_corners_move_and_are_removed() -> None:
     assert moved == (Polygon(tuple((x + 1.5, y - 0.25) for x, y in TWELVE), "pillar"), TABLE)
     assert result == {"obstacles": 2, "was": [list(corner) for corner in TWELVE], "name": "pillar", "at": 0,
                     "is": [list(corner) for corner in moved[0].corners_in]}  # fmt: skip
+    # The old corners find nothing any more.
     with pytest.raises(ControlError, match=r"none with .*corners"):
         change_obstacle(emulator, {"corners": DISPLAYED})
     result = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in DISPLAYED]})
@@ -46,11 +49,15 @@ def test_obstacles_with_many_corners_move_and_are_removed() -> None:
 def test_the_result_undoes_a_change_exactly() -> None:
     emulator = a_stage()
     before = emulator.simulation.world.obstacles
+    # 1. Moved; the reply passes through JSON, as on its path to a page and back.
     moved = json.loads(json.dumps(change_obstacle(emulator, {"corners": DISPLAYED, "by": [0.1, 0.7]})))
+    # 2. Meanwhile a client adds an obstacle.
     meet(emulator)[0].ask("add_obstacle", 3, 700, 0, 800, 0, 800, 100)
     theirs = emulator.simulation.world.obstacles[2]
+    # 3. Undo: exactly the old corners, and the client's obstacle stays.
     change_obstacle(emulator, {"corners": moved["is"], "to": moved["was"]})
     assert emulator.simulation.world.obstacles == (*before, theirs)
+    # 4. Removed, and put back at its old index.
     gone = json.loads(json.dumps(change_obstacle(emulator, {"corners": DISPLAYED})))
     assert emulator.simulation.world.obstacles == (TABLE, theirs)
     put = {"put": gone["was"], "name": gone["name"], "at": gone["at"]}

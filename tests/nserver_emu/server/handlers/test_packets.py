@@ -70,11 +70,13 @@ def test_the_arm_moves_and_wait_answers_when_it_is_there(
     client, session = connected
     assert answer(client.ask("arm_mv", RELATIVE, 1000, RELATIVE, 200)) == (42, 1)
     seconds, reply = later(emulator, session, client, "arm_ws", 1, 1, 30_000)
+    # Lift 10 in at 5 in/s with ramps of 10 in/s^2: d/v + v/a.
     assert seconds == pytest.approx(10 / 5 + 5 / 10, abs=0.02)
     packet_type, result, left_ms = answer(reply)
     assert (packet_type, result) == (41, 1)
     assert left_ms == pytest.approx(30_000 - 1000 * seconds, abs=2)
     assert emulator.arms[1].lift.position_in == pytest.approx(10.0)
+    # Both at rest: result 1 at once, with the whole time left.
     assert answer(client.ask("arm_ws", 1, 1, 500)) == (41, 1, 500)
 
 
@@ -83,7 +85,9 @@ def test_arm_ws_returns_0_on_timeout_of_selected_axes(
 ) -> None:
     client, session = connected
     client.ask("arm_mv", RELATIVE, 4000, 0, 0)
+    # Only the grip is selected, and it is at rest.
     assert answer(client.ask("arm_ws", 0, 1, 1000)) == (41, 1, 1000)
+    # The lift moves, but the timeout is 0.
     assert answer(client.ask("arm_ws", 1, 0, 0)) == (41, 0, 0)
     seconds, reply = later(emulator, session, client, "arm_ws", 1, 0, 500)
     assert seconds == pytest.approx(0.5, abs=0.02)
@@ -121,6 +125,7 @@ def test_an_unknown_user_packet_is_refused(connected: tuple[WireClient, Session]
 def running(emulator: Emulator) -> tuple[WireClient, Session]:
     """A client whose arm's lift runs up at 1 in/s."""
     client, session = meet(emulator)
+    # Mode 1: velocity, in hundredths of an inch per second.
     client.ask("arm_mv", 1, 100, 0, 0)
     emulator.pass_time(1.0)
     assert emulator.arms[1].lift.moving
@@ -138,6 +143,7 @@ def settled_in(emulator: Emulator) -> float:
 def test_st_stops_the_arm_too(emulator: Emulator) -> None:
     client, _ = running(emulator)
     client.ask("st")
+    # 1 s with a ramp of 0.1 s at each end: 1.0 in.
     assert 0.9 < settled_in(emulator) < 1.1
 
 
@@ -145,6 +151,7 @@ def test_st_stops_the_arm_too(emulator: Emulator) -> None:
 def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, other_session = meet(emulator)
+    # Settings of the arm (modes 5 and 4) do not make this client its owner.
     other.ask("arm_mv", 5, 100, 4, 100)
     emulator.on_disconnect(other_session.context)
     assert emulator.arms[1].lift.moving
@@ -156,6 +163,7 @@ def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
 def test_the_arm_keeps_moving_for_its_new_owner(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, _ = meet(emulator)
+    # A motion does: the lift goes 10 in farther for the other client.
     other.ask("arm_mv", 2, 1000, 2, 100)
     emulator.on_disconnect(session.context)
     assert settled_in(emulator) == pytest.approx(11.0, abs=0.1)
@@ -169,12 +177,14 @@ def test_the_time_out_stops_the_arm_when_it_strikes(emulator: Emulator, step_s: 
     for _ in range(round(5.0 / step_s)):
         emulator.simulation.step(step_s)
     client.ask("gs")
+    # 1 in/s until the timeout, which is 2 s after conf_tm at 1 s.
     assert settled_in(emulator) == pytest.approx(3.0, abs=0.1)
 
 
 def test_waiting_for_the_arm_feeds_the_watchdog(emulator: Emulator) -> None:
     client, session = meet(emulator)
     client.ask("conf_tm", 1)
+    # 5 in at 1 in/s take 5 s, longer than the timeout of 1 s.
     client.ask("arm_mv", 5, 100, 0, 0)
     client.ask("arm_mv", 2, 500, 0, 0)
     session.receive(codec.encode_tcp_request(Call("arm_ws", (1, 1, 30_000))))
@@ -189,5 +199,6 @@ def test_a_restored_arm_stops_with_its_first_client(emulator: Emulator) -> None:
     restored = Emulator(simulation())
     loads(restored, dumps(emulator))
     _, session = meet(restored)
+    # The first client after a restore owns the arm.
     restored.on_disconnect(session.context)
     assert 0.9 < settled_in(restored) < 1.1

@@ -37,6 +37,7 @@ def client(emulator: Emulator) -> WireClient:
 
 def test_an_n150_has_a_compass_and_neither_infrareds_nor_laser() -> None:
     client, _ = meet(Emulator(simulation(start=StartPose(0.0, 0.0, 0.0, math.radians(33.0)))))
+    # Error 4 for each command of a sensor that the N150 lacks; in State its infrareds show 15, nothing.
     for name, args in (("get_ir", ()), ("get_ls", ()), ("get_sg", ()), ("conf_ls", (51, 0, 0, 0, 0)),
                        ("conf_sg", (10, 5, 60)), ("conf_ir", (0, *range(16)))):  # fmt: skip
         assert client.ask(name, *args).values == (4,)
@@ -57,6 +58,7 @@ def test_a_scout_has_no_compass() -> None:
     reply = client.ask("gs")
     assert reply.slots[43] == 0
     assert reply.stamps["compass"] == NO_STAMP
+    # The measured clock has steps of 16.4 ms: 60 of them are 984 ms.
     assert reply.stamps["bumper"].pose_time == 984
 
 
@@ -69,17 +71,21 @@ def test_infrareds_show_how_near_a_wall_is_in_state_and_answer(emulator: Emulato
     assert client.ask("get_ir").slots == {slot: slots[slot] for slot in range(1, 17)}
     emulator.simulation.robots[1].place(10.0, 10.0, 0.0, 0.0)
     emulator.simulation.step(0.06)
+    # 0.06 s: one infrared reading at the new place.
     assert client.ask("get_ir").slots[9] == 13
 
 
 def test_conf_ir_sets_history_and_sensors(emulator: Emulator, client: WireClient) -> None:
+    # 12 is above the maximum history of 9 tenths: a reading counts a tenth, 0.9 x 3 + 0.1 x 15 = 4.2.
     client.ask("conf_ir", 12, *range(16))
     emulator.simulation.robots[1].place(50.0, 50.0, 0.0, 0.0)
     emulator.simulation.step(0.06)
     assert client.ask("get_ir").slots[9] == 4
+    # After a second of readings the old value has little weight left.
     emulator.simulation.step(1.0)
     assert client.ask("get_ir").slots[9] == 13
     before = client.ask("get_ir").slots[13]
+    # Only infrared 8 measures (255 ends the order); the others keep their last reading.
     assert client.ask("conf_ir", 0, 8, 255, *[99] * 14).slots[9] == 15
     assert client.ask("get_ir").slots[13] == before
     for args in ((-1, *range(16)), (0, 16, *range(15))):
@@ -99,11 +105,14 @@ def test_conf_cp_switches_the_compass_and_a_turn_calibrates_it() -> None:
         return abs(math.degrees(math.remainder(shown - robot.actual.turret_rad, math.tau)))
 
     emulator.simulation.step(0.1)
+    # The measured compass is off by some degrees until it is calibrated.
     assert 2.0 < off_deg() < 6.5
     assert client.ask("conf_cp", 2).kind == "state"
+    # 400 deg: calibration needs a full turn of the turret.
     client.ask("pr", 0, 0, 4000)
     emulator.simulation.step(20.0)
     assert off_deg() < 2.5
+    # Mode 0: off. The turret turns, and the reading stays.
     client.ask("conf_cp", 0)
     before = client.ask("get_cp").slots
     client.ask("pr", 0, 0, 900)
@@ -124,14 +133,17 @@ def test_the_laser_gives_points_lines_and_pixels_by_its_mode() -> None:
     assert points is not None
     assert points[0] == 482
     assert client.ask("get_ls").laser == points
+    # Each point has x = 62.17 in, rounded to tenths; only y differs.
     assert set(points[1::2]) == {622}
     line = client.ask("get_sg").laser
     assert line is not None
     assert line[0] == 1
+    # x1 y1 x2 y2 of the one line: across the whole field of view.
     assert line[1:] == pytest.approx((622, -307, 622, 307), abs=1)
     assert client.ask("gs").laser == line
     assert client.ask("conf_ls", 33, 0, 0, 0, 0).laser == line
     assert client.ask("get_ls").laser == points
+    # Mode 3: rows of the camera, one word per column.
     pixels = client.ask("conf_ls", 3, 0, 0, 0, 0).laser
     assert pixels is not None
     assert (pixels[0], len(pixels), min(pixels[1:]) > 0) == (482, 483, True)
@@ -145,17 +157,20 @@ def test_other_robots_are_in_laser_and_infrareds_of_state() -> None:
     assert points is not None
     xy = [(points[at] / 10, points[at + 1] / 10) for at in range(1, len(points), 2)]
     arc = [point for point in xy if point[0] < 62.0]
+    # All points are on the circle of the N150, whose radius is 9.72 in.
     assert all(math.hypot(x - 25.0, y) == pytest.approx(9.72, abs=0.08) for x, y in arc)
     half_deg = math.degrees(math.asin(9.72 / 16.0))
     assert half_deg > 30.0
     assert len(xy) == len(arc) == 482
     emulator.simulation.robots[2].place(62.0, 67.0, 0.0, 0.0)
     emulator.simulation.step(0.1)
+    # Infrared 2 (slot 3) at 45 deg: distance of the centres minus radius 9.72 and ring 9.0.
     assert client.ask("gs").slots[3] == round(math.hypot(22.0, 22.0) - 18.72) == 12
 
 
 def test_each_connection_has_its_own_laser_mode(emulator: Emulator, client: WireClient) -> None:
     other, _ = meet(emulator)
+    # Mode 50 has bit 0 cleared: the laser is off for this connection only.
     assert client.ask("conf_ls", 50, 0, 0, 0, 0).laser == (0,)
     assert client.ask("get_ls").laser == (0,)
     assert client.ask("gs").slots[42] == 50
@@ -172,6 +187,7 @@ def test_conf_ls_sets_columns_and_conf_sg_line_extraction() -> None:
     few = client.ask("conf_ls", 51, 0, 0, 20, 0).laser
     assert few is not None
     assert few[0] == 20
+    # 21 points at least per line, but there are 20: no line.
     assert client.ask("conf_sg", 10, 21, 60).kind == "state"
     assert client.ask("get_sg").laser == (0,)
     client.ask("conf_sg", 10, 5, 100)
@@ -184,6 +200,7 @@ def test_conf_ls_sets_columns_and_conf_sg_line_extraction() -> None:
 def test_columns_and_lines_are_each_connections_own() -> None:
     emulator = n200(BEFORE_A_WALL)
     (client, _), (other, _) = meet(emulator), meet(emulator)
+    # The other connection must see all columns and its own line extraction.
     whole, line = other.ask("get_ls").laser, other.ask("get_sg").laser
     other.ask("conf_ls", 51, 0, 0, 0, 0)
     client.ask("conf_ls", 51, 0, 0, 20, 0)
@@ -198,6 +215,7 @@ def test_columns_and_lines_are_each_connections_own() -> None:
 def test_other_arguments_of_conf_ls_have_no_effect(mode: int) -> None:
     client, _ = meet(n200(StartPose(20.0, 45.0, 0.3, 0.2), MEASURED))
     plain = client.ask("conf_ls", mode, 0, 0, 100, 0).laser
+    # Threshold, width and processing change nothing; the number of columns does.
     for numbers in ((255, 0, 100, 0), (0, 255, 100, 0), (0, 0, 100, 255), (120, 7, 100, 1)):
         assert client.ask("conf_ls", mode, *numbers).laser == plain
     assert client.ask("conf_ls", mode, 0, 0, 50, 0).laser != plain
@@ -206,6 +224,7 @@ def test_other_arguments_of_conf_ls_have_no_effect(mode: int) -> None:
 def test_a_prediction_has_infrared_compass_and_laser(client: WireClient) -> None:
     here = client.ask("gs")
     reply = client.ask("predict_sensors", 400, 450, 0, 900)
+    # Compass 900: the predicted turret. 572: the wall in y is 57.2 in away.
     assert (reply.values[1:17], reply.values[42:44]) == ((15,) * 16, (51, 900))
     assert reply.laser is not None
     assert set(reply.laser[1::2]) == {572}
@@ -223,6 +242,7 @@ def test_a_measured_robot_continues_from_a_snapshot() -> None:
     copy = n200(setup=MEASURED)
     loads(copy, dumps(emulator))
     other, _ = meet(copy)
+    # Both copies must agree in every step: random streams, rings and compass are part of the snapshot.
     for _ in range(5):
         assert other.ask("gs") == client.ask("gs")
         emulator.simulation.step(0.21)
@@ -238,13 +258,16 @@ def test_every_sensor_has_its_stamp(emulator: Emulator, client: WireClient) -> N
     stamps = client.ask("ct", *EVERYTHING.with_position(Position(31)).smask).stamps
     assert set(stamps) == {f"{kind}_{i}" for kind in ("ir", "sonar") for i in range(16)} | {
         "bumper", "laser", "compass"}  # fmt: skip
+    # The last infrared reading was at 240 ms, 2.4 in; the laser is read at the request.
     assert [(stamps[key].x, stamps[key].sensor_time) for key in ("ir_0", "laser")] == [(24, 240), (25, 250)]
+    # The compass is read every 0.1 s.
     assert (stamps["compass"].pose_time, stamps["compass"].sensor_time) == (250, 200)
     for name, key in (("get_ir", "ir_7"), ("get_cp", "compass"), ("get_ls", "laser"), ("get_sg", "laser")):
         assert client.ask(name).stamps[key] == stamps[key]
 
 
 def test_the_clock_of_a_measured_robot_goes_in_steps_of_16_4_ms() -> None:
+    # 1.0 s: 60 steps of 16.4 ms, and 16.4 s: exactly 1000 steps.
     assert [clock_ms(time_s, 0.0164) for time_s in (0.0163, 0.0164, 1.0, 16.4)] == [0, 16, 984, 16400]
     measured = n200(setup=MEASURED)
     stepped, _ = meet(measured)
@@ -259,5 +282,6 @@ def test_the_batteries_drain(client: WireClient) -> None:
     assert client.ask("gs").volts == volts_raw(0.0)
     for hours in (0.0, 2.0, 4.0, 6.0):
         cpu, motors = volts_raw(hours * 3600.0)
+        # The battery model loses 0.2 V an hour.
         assert volts(cpu, CPU_RANGE_V) == pytest.approx(12.0 - 0.2 * hours, abs=0.02)
         assert volts(motors, MOTOR_RANGE_V) == pytest.approx(12.0 - 0.2 * hours, abs=0.02)

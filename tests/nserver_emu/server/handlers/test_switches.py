@@ -48,8 +48,10 @@ def readings(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tupl
 def test_noise_changes_take_effect_for_clients() -> None:
     emulator = Emulator(simulation(seed=4))
     client, _ = meet(emulator)
+    # Without noise all readings at rest are equal.
     (exact,) = readings(emulator, client)
     assert switch_noise(emulator, {"sensors": "noisy", "robot": 1}) == {"1": {"sensors": "noisy", "motion": "ideal"}}
+    # The readings themselves change with the next ping, not with the switch.
     assert sonars(client) == exact
     assert len(readings(emulator, client)) == 6
     assert switch_noise(emulator, {"sensors": "ideal"})["1"]["sensors"] == "ideal"
@@ -62,6 +64,7 @@ def test_odometry_strays_robot_by_robot() -> None:
     emulator = Emulator(
         SimulationConfig(others=(("n150", StartPose(70.0, 70.0)),), start=StartPose(20.0, 20.0)).simulation()
     )
+    # Only robot 2 gets noise; both drive the same path.
     switch_noise(emulator, {"motion": "noisy", "robot": 2})
     for number in (1, 2):
         client, _ = meet(emulator)
@@ -85,6 +88,7 @@ def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> lis
     for second in range(20):
         if second in switches:
             switch_noise(emulator, switches[second])
+        # The snapshot is restored into an emulator of other settings, which must not matter.
         if second == 10 and saved is not None:
             snapshot.save(emulator, saved)
             emulator = Emulator(SimulationConfig().simulation())
@@ -103,6 +107,7 @@ SWITCHES: dict[int, dict[str, Any]] = {
 @pytest.mark.long
 def test_the_same_changes_give_the_same_bytes() -> None:
     assert a_run(SWITCHES) == a_run(SWITCHES)
+    # Another switch changes only the last replies, and that must be visible.
     assert a_run(SWITCHES) != a_run(SWITCHES | {15: {"sensors": "ideal"}})
     assert a_run(SWITCHES) != a_run({})
 
@@ -117,6 +122,7 @@ def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
     [
         ({"sensors": "loud"}, "sensors is one of ideal, noisy, measured, building, not loud"),
         ({"motion": 3}, "motion is one of ideal, noisy, worn, not 3"),
+        # A near miss is suggested.
         ({"motion": "nosy"}, "noisy"),
         ({"sensors": "noisy", "robot": 7}, "no robot 7; there are 1"),
         ({"sensors": "noisy", "robot": "1"}, "no robot 1"),
@@ -163,6 +169,7 @@ def test_robots_without_room_are_placed_at_starts() -> None:
     emulator = Emulator(simulation())
     emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
     arena = load_world("arena")
+    # `places`: robots without room are put at the starts of the new world.
     assert put_world(emulator, format_world(arena), "arena.toml", places=True).starts == arena.starts
     for number, robot in emulator.simulation.robots.items():
         emulator.simulation.require_free(*robot.disc, number)
@@ -173,6 +180,7 @@ def test_robots_without_room_are_placed_at_starts() -> None:
     assert emulator.simulation.world.name == arena.name
 
 
+# Coordinates that tenths and even a text of three decimals cannot express.
 TWELVE = tuple(
     (60.123456789 + 9 * math.cos(k * math.tau / 12), 50.1 + 9 * math.sin(k * math.tau / 12)) for k in range(12)
 )
@@ -190,15 +198,18 @@ def a_world() -> World:
 def test_a_world_that_was_shown_comes_back_as_the_very_same() -> None:
     emulator = Emulator(simulation())
     world = a_world()
+    # 1. Two worlds are exported as text: this one, and the one without obstacles.
     emulator.simulation.change_world(world)
     before = show_world(emulator)
     meet(emulator)[0].ask("new_world")
     emptied = emulator.simulation.world
     after = show_world(emulator)
+    # 2. After a third world each text restores the very object, although the text cannot express it all.
     put_world(emulator, "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "other.toml")
     assert put_world(emulator, before, "before") is world
     assert emulator.simulation.world is world
     assert put_world(emulator, after, "after") is emptied
+    # 3. An edited text is parsed, and is another world.
     assert put_world(emulator, before + "# edited", "edited.toml") is not world
 
 
@@ -206,6 +217,7 @@ def test_exported_worlds_are_limited_to_the_undo_steps() -> None:
     emulator = Emulator(simulation())
     first = emulator.simulation.world
     text = show_world(emulator)
+    # Exactly as many further worlds as are remembered: the first one is dropped.
     for k in range(MAX_EXPORTED_WORLDS):
         emulator.simulation.change_world(World(f"w{k}", "", (ROOM,)))
         show_world(emulator)
@@ -222,11 +234,13 @@ def test_inner_walls_are_added_moved_and_removed() -> None:
     }  # fmt: skip
     emulator.pass_time(1.0)
     assert sonars(client)[0] < before[0]
+    # A wall is found by its ends; a name is stripped of spaces.
     named = change_wall(emulator, {"wall": [[40, -9], [40, 9]], "to": [[40, -9], [40, 9]], "name": " gate "})
     assert "name" not in named
     moved = change_wall(emulator, {"wall": [[40, -9], [40, 9]], "by": [5, 1]})
     assert moved["name"] == "gate"
     assert (moved["was"], moved["is"]) == ([[40, -9], [40, 9]], [[45, -8], [45, 10]])
+    # "to" replaces the ends; without "to" and "by" the wall is removed.
     change_wall(emulator, {"wall": moved["is"], "to": [[50, 0], [60, 0]]})
     assert change_wall(emulator, {"wall": [[50, 0], [60, 0]]})["walls"] == rows
     emulator.pass_time(1.0)
@@ -251,6 +265,7 @@ def test_measured_walls_keep_their_accuracy() -> None:
     known = WallAccuracy(0.1, 0.01, 20.0)
     rows = np.array([[0, 0, 9, 0], [0, 5, 9, 5], [0, 9, 9, 9]])
     world = World("w", inner_walls=rows, accuracies={0: known, 2: known})
+    # Rows behind a removed wall move up, and their accuracies with them.
     assert world.with_inner_wall(1).accuracies == {0: known, 1: known}
     assert world.with_inner_wall(2, (1, 1, 2, 2)).accuracies == {0: known}
     assert world.with_inner_wall(3, (1, 1, 2, 2)).accuracies == world.accuracies
@@ -259,6 +274,7 @@ def test_measured_walls_keep_their_accuracy() -> None:
 @pytest.mark.parametrize(("to", "is_measured"), [([[40, -20], [40, 9]], True), ([[40, -9], [41, 9]], False)])
 def test_wall_that_becomes_longer_keeps_its_accuracy(to: list[list[float]], is_measured: bool) -> None:
     emulator = Emulator(simulation())
+    # Collinear and longer: where the wall is was measured. Turned: it was not.
     row = len(emulator.simulation.world.inner_walls)
     change_wall(emulator, {"put": [[40, -9], [40, 9]]})
     measured = WallAccuracy(0.1, 0.01, 15.0)
@@ -274,6 +290,7 @@ def test_undo_restores_the_accuracy_of_a_wall(change: dict[str, Any]) -> None:
     rows = change_wall(emulator, {"put": wall, "accuracy": measured})["walls"]
     done = change_wall(emulator, {"wall": wall, **change})
     assert emulator.simulation.world.accuracies == {}
+    # The reply of a change has what undoes it: "to" for a moved wall, "put" for a removed one.
     undo = {"wall": done["is"], "to": done["was"]} if change else {"put": done["was"]}
     change_wall(emulator, undo | {"accuracy": done["accuracy"]})
     assert emulator.simulation.world.accuracies == {rows - 1: WallAccuracy(*measured)}

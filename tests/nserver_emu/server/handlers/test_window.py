@@ -33,5 +33,6 @@ def test_shapes_are_in_drawing_order() -> None:
     shapes = emulator.graphics.shapes
     assert [shape.figure for shape in shapes] == [Figure.LINE, Figure.ARC, Figure.ROBOT]
     assert [shape.numbers for shape in shapes] == [(1, 2, 3, 4), (-10, 20, 30, 40, 0, 3600), (5, 6, 70, 80)]
+    # Mode 2 is XOR: the same line again erases it.
     second.ask("draw_line", 1, 2, 3, 4, 2)
     assert [shape.figure for shape in emulator.graphics.shapes] == [Figure.ARC, Figure.ROBOT]
