@@ -89,7 +89,8 @@ def test_obstacle_words_that_contradict_themselves(kind: int, payload: tuple[int
 
 
 def test_motion_checks_are_truncated_toward_zero() -> None:
-    # Lengths of 1/1000 inch are sent as 1/100: -12345 becomes -1234, and not -1235. The last three words are unused.
+    # Thousandths of a tenth of an inch are sent as hundredths: -12345 becomes -1234, and not -1235. The last three
+    # words are unused.
     assert words(tcp("motion_check", 0, -12345, 12349, 9, -9)) == (0, -1234, 1234, 0, 0, 0, 0, 0)
     # Angles of 1/1000 rad are sent as 1/1000000.
     arc = words(tcp("motion_check", 1, 1000, -1000, 1570.7969, -0.0019, 5000, 0, 10))
