@@ -56,7 +56,7 @@ def test_numbers_are_clamped(direct: str) -> None:
 def test_nak_succeeds_and_timeout_fails(direct: str) -> None:
     robot = ScriptedLine({"vm": NAK, "gs": [None]})
     nak, silent, fine = calls_with_line(direct, robot, "vm 1 2 3", "gs", "gs")
-    # A NAK is success with State as it was; a missing reply is failure, and the session goes on.
+    # A NAK is success with State unchanged; a missing reply is failure, and the session goes on.
     assert (nak["return"], nak["State"][17]) == (1, 0)
     assert (silent["return"], silent["error"]) == (0, "gs: no valid reply in time")
     assert (fine["return"], fine["State"][17], fine["State"][33]) == (1, 57, 0xF00000)

@@ -57,10 +57,10 @@ def test_a_reader_of_the_list_of_worlds_may_close_early() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    # stdout, stderr, stdin and all three closed, which POSIX allows.
     ("closed", "reported"), [(">&-", False), ("2>&-", True), ("<&-", True), (">&- 2>&- <&-", False)]
 )
 def test_a_command_goes_without_what_is_closed(closed: str, reported: bool) -> None:
+    # stdout, stderr, stdin and all three closed, which POSIX allows.
     done = in_shell([*NOMAD, "state", "sim:thesis_room", "pose"], closed)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("pose ") == reported

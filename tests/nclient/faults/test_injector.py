@@ -262,8 +262,8 @@ def test_what_a_rule_took_away_those_below_never_see() -> None:
 def test_seed_repeats_and_rules_do_not_affect_each_other(sent: list[bytes], seed: int) -> None:
     one = Rule("one", (Corrupt(), InsertBytes(), Cut()), When(percent=50.0))
     other = Rule("other", (Noise(10.0, 10.0, 10.0),), When(percent=50.0), ("st",))
+    # The same rule twice, then with another rule behind it and before it: a rule's random numbers are its own.
     runs = [
-        # The same rule twice, then with another rule behind it and before it: a rule's random numbers are its own.
         passed(Injector(Plan(rules, seed), "serial:1"), sent) for rules in ((one,), (one,), (one, other), (other, one))
     ]
     assert all(a == b for a, b in pairwise(runs))
