@@ -259,7 +259,6 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
     def ring() -> None:
         for number, reading in enumerate(readings):
-            # Forwards and backwards by turns.
             # Back and forth: the cloud stays in the room.
             sign = 1.0 if number % 2 else -1.0
             particles.predict(sign * STEP[0], sign * STEP[1])

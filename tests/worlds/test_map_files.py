@@ -130,8 +130,8 @@ def test_images_and_files_have_a_largest_size(tmp_path: Path, monkeypatch: pytes
 
 
 def carmen(width: int = 20, height: int = 10, *, cells: bytes | None = None) -> bytes:
-    # Unknown outside, a wall of one cell, free inside; the cells are stored column by column.
     """Return a CARMEN map of a box: cells of 0.1 m, probabilities, unknown outside."""
+    # Unknown outside, a wall of one cell, free inside; the cells are stored column by column.
     values = np.full((abs(width), height), -1.0, dtype="<f4")
     values[2:-2, 2:-2] = 0.95
     values[3:-3, 3:-3] = 0.01

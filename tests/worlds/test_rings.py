@@ -48,9 +48,9 @@ def test_readings_are_rounded_within_the_limits(range_in: float, reading_in: flo
 
 @pytest.mark.parametrize(
     ("range_in", "reading_in"), [(3.0, 6), (6.4, 6), (6.5, 7), (254.4, 254), (254.6, 255), (inf, 255)]
-# 6 to 255 in, rounded to whole inches; 255 without an echo.
 )
 def test_a_nomad_reads_whole_inches(range_in: float, reading_in: int) -> None:
+    # From 6 in to 255 in, which also means "no echo".
     assert N150.ring.reading(range_in) == reading_in
 
 
@@ -128,7 +128,6 @@ def test_offsets_are_as_many_as_sonars(tmp_path: Path) -> None:
     path.write_text(f"{text}\n[model.sonar]\noffsets_in = {[0.5] * 16}\n", encoding="utf-8")
     with pytest.raises(WorldFileError, match=r"sonar\.offsets_in: expected a list of 8 numbers, found 16"):
         load_calibration(path, "corridor8")
-    # It inherits the number of sonars from the model that it is like.
     # A model below it has as many.
     twin = '[[model]]\nname = "twin"\nlike = "corridor8"\n[model.odometry]\nway_scale = 1.1\n'
     path.write_text(f"{text}\n{twin}", encoding="utf-8")

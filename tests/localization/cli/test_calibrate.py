@@ -151,8 +151,8 @@ def test_result_is_printed_if_file_cannot_be_written(capsys: pytest.CaptureFixtu
 
 
 def calibrated_as_rays(out: Path, side_in: int, *words: str) -> int:
-    # Cones measure shorter ranges than rays at slanted walls: no calibration explains them.
     """Drive around a square with a real ring's cones, taken for rays; return the exit code."""
+    # Cones measure shorter ranges than rays at slanted walls: no calibration explains them.
     quick = ["--laps", "1", "--square", f"5,5,{side_in}", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
     address = "sim:thesis_room?setup=measured&seed=1"
     return main.main(["calibrate", address, "--sonars", "rays", "--out", str(out), *quick, *words])

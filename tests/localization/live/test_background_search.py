@@ -233,7 +233,6 @@ def test_what_a_search_adds_to_a_table_is_stored(tmp_path: Path) -> None:
     records = [EchoRecord(np.zeros(3), directions[k], k, 0.0, reading) for k, reading in enumerate(readings)]
     found = poses.start(SearchRequest([*records, *records]))()
     assert found is not None
-    # Without motion between the records each reading counts twice, which does not matter here.
     # The rectangle looks the same after half a turn: one of two poses, both found.
     means = [each.belief.mean for each in found.hypotheses[:2]]
     assert min(np.hypot(mean[0] - 130.0, mean[1] - 120.0) for mean in means) < 3.0

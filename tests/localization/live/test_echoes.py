@@ -12,8 +12,8 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER
 
 
 def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:
-    # The oracle: firing by firing, without the arithmetic of the schedule.
     """Every firing of the ring up to an instant, one after another."""
+    # The oracle: firing by firing, without the arithmetic of the schedule.
     count = int((until_s - schedule.start_s) / schedule.interval_s) + 2
     order = [sonar for (sonar,) in schedule.firing]
     instants = [schedule.start_s + k * schedule.interval_s for k in range(count)]
