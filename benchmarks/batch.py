@@ -32,6 +32,7 @@ from worlds.world import StartPose, World
 Result = dict[str, float | int | str]
 
 DT_S: Final = 0.1
+# Rare commands, so that setting velocities takes a small part of the time.
 TURN_EVERY: Final = 20
 """Steps between two commands."""
 FASTEST_RATE: Final = 1
@@ -47,6 +48,7 @@ def starts(robots: int, world: World) -> FloatArray:
     """Return free poses (n, 4) in the room of the benchmark."""
     rng = np.random.default_rng(7)
     found = np.empty((0, 4))
+    # Rejected poses are drawn again, until there are enough.
     while len(found) < robots:
         half_in = HALF_IN - N150.body.radius_in - 1.0
         low, high = (-half_in, -half_in, 0.0, 0.0), (half_in, half_in, tau, tau)
@@ -60,6 +62,7 @@ def starts(robots: int, world: World) -> FloatArray:
 
 def velocities(robots: int, step: int) -> FloatArray:
     """Return the velocities (3, n) that are commanded at a step: arcs forward and back."""
+    # A generator for each step: all sizes of a batch have the same commands.
     rng = np.random.default_rng(step)
     low, high = np.array([[-12.0], [-0.5], [-0.3]]), np.array([[18.0], [0.5], [0.3]])
     found: FloatArray = low + (high - low) * rng.random((3, robots))
@@ -71,6 +74,7 @@ def drive_batch(batch: BatchSimulation, steps: int) -> None:
         if step % TURN_EVERY == 0:
             batch.set_velocities(*velocities(len(batch), step))
         batch.step(DT_S)
+        # Reading the ranges is part of the step: sonars that are not read are not computed.
         assert batch.ranges_in.shape == (len(batch), 16)
 
 
@@ -88,6 +92,7 @@ def best(works: Sequence[Callable[[], object]], rounds: int) -> list[tuple[float
     shortest = [(float("inf"), float("inf"))] * len(works)
     for _ in range(rounds):
         for number, work in enumerate(works):
+            # By turns: a slower clock of the processor affects both.
             wall, cpu = perf_counter(), process_time()
             work()
             wall_s, cpu_s = perf_counter() - wall, process_time() - cpu
@@ -101,6 +106,7 @@ def measure(robots: int, steps: int, rounds: int, setup: str, threads: int | Non
     places = starts(robots, world)
     found: dict[str, Result] = {}
     for name, rate in (("ring at its usual rate", DEFAULT_SONAR_RATE), ("all sonars in every step", FASTEST_RATE)):
+        # Same world, same start and same commands; only the single simulation is limited to one robot and one core.
         batch = BatchSimulation(world, robots, starts=places, setup=SETUPS[setup], seed=1, threads=threads)
         single = Simulation(world, seed=1)
         single.add_robot(1, StartPose(*places[0].tolist()), setup=SETUPS[setup])
@@ -125,6 +131,7 @@ def measure(robots: int, steps: int, rounds: int, setup: str, threads: int | Non
             "times_faster_per_cpu": round(single_s / SINGLE_STEPS / (cpu_s / done), 1),
             "bytes_per_robot": round(batch.bytes_per_robot),
             "target_bytes_per_robot": TARGET_BYTES,
+            # Robots that touch something are cheaper: the number shows how many there were.
             "touching": int((batch.bumpers != 0).sum()),
         }
     return found

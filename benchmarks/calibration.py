@@ -106,6 +106,7 @@ def compare(seed: int, true: Calibration, estimate: dict[str, Any]) -> Outcome:
     spread = estimate["spread"]
     offsets, offset_stds = np.array(estimate["offsets_in"]), np.array(spread["offsets_in"])
     off = offsets - true.offsets_in
+    # The worst sonar is the one with the largest relative error.
     worst = int(np.argmax(np.abs(off / true.offsets_in)))
     # Rows in the order of COLUMNS: error, true value, reported standard deviation. Scales count from 1.
     rows = (

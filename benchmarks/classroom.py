@@ -55,6 +55,7 @@ COUNT_DRAWN: Final = """() => { let last = -1; window.drawn = 0; (function count
 async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, name: str, *args: int) -> float:
     """Send a request and return the seconds until its reply."""
     began_s = time.perf_counter()
+    # Encoding is included, and so is waking up: it is what a program sees.
     writer.write(codec.encode_tcp_request(Call(name, args)))
     head = await reader.readexactly(4)
     await reader.readexactly(4 * int.from_bytes(head[2:], "big"))
@@ -67,8 +68,10 @@ async def run_program(port: int, robot: int, first_s: float, end_s: float) -> li
     await ask(reader, writer, "connect_robot", robot, os.getpid())
     loop, trips, due_s = asyncio.get_running_loop(), [], first_s
     while due_s < end_s:
+        # From the sending time: `due_s` decides only when the next request is sent.
         await asyncio.sleep(max(0.0, due_s - loop.time()))
         trips.append(await ask(reader, writer, "gs"))
+        # The direction changes every 15 requests; the vm of a change is not timed.
         way, step = divmod(len(trips), REQUESTS_PER_WAY)
         if not step or len(trips) == 1:
             await ask(reader, writer, "vm", -SPEED_TENTHS if way % 2 else SPEED_TENTHS, 0, 0)
@@ -81,6 +84,7 @@ async def run_program(port: int, robot: int, first_s: float, end_s: float) -> li
 
 async def run_programs(port: int, robots: int, seconds: float) -> list[float]:
     """Run a program per robot, evenly spread over 0.1 s; return all round-trip times in seconds."""
+    # 0.5 s until all are connected; starts are spread, as those of independent programs are.
     begin_s = asyncio.get_running_loop().time() + 0.5
     found = await asyncio.gather(*(
         run_program(port, number, begin_s + number / robots / RATE_HZ, begin_s + seconds)
@@ -91,6 +95,7 @@ async def run_programs(port: int, robots: int, seconds: float) -> list[float]:
 
 def processor_s(pid: int) -> float:
     """Return the processor time of a process in seconds (Linux)."""
+    # utime and stime, counted behind the name of the process, which may contain blanks.
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return sum(map(int, fields[11:13])) / CLOCK_TICKS
 
@@ -115,6 +120,7 @@ async def browser(page: str, *, ahead: bool) -> AsyncIterator[Any]:
         await tab.goto(page)
         await tab.wait_for_selector("#window-robots tbody tr >> nth=1")
         await tab.evaluate(COUNT_DRAWN)
+        # The browser's renderer and network processes, besides its main one.
         processes = await (await chromium.new_browser_cdp_session()).send("SystemInfo.getProcessInfo")
         for process in processes["processInfo"] if ahead else ():
             prefer(process["id"])
@@ -142,6 +148,7 @@ async def run_round(
     drawn_before = await drawn() if drawn else 0
     began_s, began_processor_s = time.perf_counter(), processor_s(daemon.pid)
     trips = await run_programs(port, robots, seconds)
+    # Processor time and time by the clock over the same interval.
     passed_s, used_s = time.perf_counter() - began_s, processor_s(daemon.pid) - began_processor_s
     found = {
         "p50_ms": 1000 * statistics.median(trips), "p99_ms": 1000 * p99(trips), "daemon_cores": used_s / passed_s,
@@ -165,6 +172,7 @@ async def measure(
             assert daemon.stdout is not None
             port = int(daemon.stdout.readline().rpartition(":")[2])
             (page,) = re.findall(r"http://\S+", daemon.stdout.readline())
+            # One page fewer, if the browser shows one.
             readers = [sys.executable, str(Path(__file__).with_name("onlookers.py")), page, str(pages - with_browser)]
             async with contextlib.AsyncExitStack() as stack:
                 process = await asyncio.create_subprocess_exec(*readers, stdin=PIPE, stdout=PIPE)

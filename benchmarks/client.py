@@ -18,6 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 
 TARGET_RATIO = 0.4
+# A header of 4 bytes and the 49 words of a state without laser and stamps.
 REPLY_SIZE = 4 + 4 * 49
 
 

@@ -32,6 +32,7 @@ class Echo(asyncio.Protocol):
         self._transport = transport
 
     def data_received(self, data: bytes) -> None:
+        # Requests are counted by their bytes: the server parses nothing.
         whole, self._pending = divmod(self._pending + len(data), self._size)
         if whole:
             self._transport.write(self._reply * whole)
@@ -72,6 +73,7 @@ class Pinger:
         self, port: int, request: bytes, reply_size: int, greeting: bytes = b"", greeted: int = 0, piece_size: int = 0
     ) -> None:  # fmt: skip
         self._socket = socket.create_connection(("127.0.0.1", port))
+        # Nagle's algorithm stays on only for requests in pieces.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, int(not piece_size))
         size = piece_size or len(request)
         self._pieces = [request[at : at + size] for at in range(0, len(request), size)]
@@ -115,6 +117,7 @@ def compare(sides: dict[str, Callable[[], None]], rounds: int, calls: int) -> di
         for name, call in sides.items():
             taken = [_timed(call) for _ in range(calls)]
             if number:
+                # The sum of the round trips, without the time of the other sides.
                 rates[name].append(calls / sum(taken))
                 trips[name] += taken
     return {

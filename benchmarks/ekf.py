@@ -62,7 +62,9 @@ RINGS: Final = 5
 FIGURE: Final = "5.4"
 WORLD: Final = "thesis_room"
 POSE: Final = (40.3, 45.7, 0.15)
+# Standard deviations of a filter that has converged.
 STD: Final = (0.05, 0.05, 0.002)
+# Small steps, as between two echoes 60 ms apart: 0.05 in and 0.01 rad.
 STEP: Final = (0.05, 0.01)
 SPEED_IN_S: Final = 0.5
 NOTHING_IN: Final = 255.0
@@ -173,6 +175,7 @@ def live_us(live: Live, count: int) -> list[float]:
     """Return the processor microseconds of so many updates, one after another; the first is not counted."""
     taken = []
     # CPU time of this thread: other processes do not count.
+    # All states are made before the first one is timed.
     for number, state in enumerate([live.next_state() for _ in range(count + 1)]):
         begin = time.thread_time_ns()
         live.update(state)
@@ -225,6 +228,7 @@ def make_case() -> Case:
 
 def is_same(one: Belief, other: Belief) -> bool:
     """Return True if two filters agree."""
+    # To rounding; the peers compute the covariance by other formulas, which round more.
     return np.allclose(one.mean, other.mean, rtol=1e-9) and np.allclose(one.cov, other.cov, rtol=1e-6)
 
 
@@ -267,6 +271,7 @@ def batch_steps_per_s(seeds: int) -> float:
     """Return steps a second of whole trials (figure 5.6: truth, readings, bound, filter) of so many seeds at once."""
     course = figure_setup(FIGURES["5.6"])
     begin = time.thread_time()
+    # Processor time of this thread, as for single updates.
     runs = run(course, range(seeds))
     return float(runs.steps.sum()) / (time.thread_time() - begin)
 
@@ -275,6 +280,7 @@ def figure_s(seeds: int, jobs: int) -> tuple[float, float]:
     """Return the seconds of a whole figure: by the clock on the wall, with the start of its processes, and of each."""
     begin, before = time.perf_counter(), os.times()
     drive(FIGURES[FIGURE], range(seeds), jobs)
+    # User and system time of this process and its children, in all processes together.
     spent = sum(os.times()[:4]) - sum(before[:4])
     return time.perf_counter() - begin, spent / jobs
 
@@ -303,6 +309,7 @@ def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Resul
             samples.extend(live_us(live, BLOCK))
         for samples, more in zip(peers, times_us([filterpy.step, stonesoup.step], 1), strict=True):
             samples.extend(more)
+    # Without numba the compiled rows are NaN.
     live_samples += [[nan]] * (2 * len(kinds) - len(live_samples))
     rays_16, rays_1, cones_16, cones_1, *fast = (
         (statistics.median(samples), float(np.quantile(samples, 0.99))) for samples in live_samples
@@ -312,6 +319,7 @@ def measure(rounds: int, seeds: int, jobs: int, *, plain: bool = False) -> Resul
     rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeSonar())], max(1, rounds // BLOCK), RINGS)
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     wall_s, cpu_s = figure_s(seeds, jobs)
+    # One seed, and a batch of at most 100.
     single, batch = batch_steps_per_s(1), batch_steps_per_s(min(seeds, 100))
     return Result(
         rays_16_us=rays_16[0],
@@ -388,6 +396,7 @@ def table(result: Result) -> str:
 def _bound(key: str, value: float) -> str:
     if key not in BOUNDS:
         return ""
+    # Ratios have a minimum, times a maximum.
     ratio = key.endswith("_ratio")
     met = value >= BOUNDS[key] if ratio else value <= BOUNDS[key]
     return f"required: {'at least' if ratio else 'at most'} {BOUNDS[key]:g}{'' if met else ', MISSED'}"

@@ -32,8 +32,10 @@ class FilterPy:
     def step(self) -> Belief:
         """Predict, and update sixteen times."""
         kalman, given = self._filter, self._given
+        # The state is set again in each call, so that all calls do the same work.
         kalman.x, kalman.P = given.before.mean, given.before.cov
         kalman.predict(F=given.F, Q=given.Q)
+        # The nonlinear prediction is given: filterpy would compute F x.
         kalman.x = given.predicted
         for z, R, H in self._updates:
             kalman.update(z, R=R, H=H)
@@ -57,6 +59,7 @@ class StoneSoup:
         self._detections = []
         for z, R, H in zip(given.z, given.R, given.H, strict=True):
             model = Row(ndim_state=3, mapping=(0,), noise_covar=np.array([[R]]))
+            # H as a matrix of one row: the model needs no Jacobian.
             model.by_state = H[None]
             self._detections.append(Detection(np.array([[z]]), measurement_model=model))
 
@@ -67,5 +70,6 @@ class StoneSoup:
         state = GaussianStatePrediction(given.predicted[:, None], cov)
         for detection in self._detections:
             after = self._updater.update(SingleHypothesis(state, detection))
+            # Each posterior becomes the prior of the next reading.
             state = GaussianStatePrediction(after.state_vector, after.covar)
         return Belief(np.array(state.state_vector, dtype=np.float64)[:, 0], np.array(state.covar, dtype=np.float64))

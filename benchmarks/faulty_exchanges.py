@@ -32,6 +32,7 @@ from worlds.io import load_world
 from worlds.world import StartPose
 
 GS = Call("gs")
+# Ten bits for each byte: a start bit, eight data bits and a stop bit.
 BYTE_S = 10 / 38400
 POLL_S = 0.25
 """Interval at which a reply is polled for."""
@@ -50,6 +51,7 @@ class SimulatedCable:
     def __init__(self, seed: int) -> None:
         self._simulation = Simulation(load_world("thesis_room"), seed)
         emulator = Emulator(self._simulation)
+        # In circles, so that each reply differs from the one before: a late reply has wrong values.
         self._simulation.add_robot(1, StartPose(45.0, 30.0, 0.0, 0.0)).set_velocities(3.0, 0.2, -0.3)
         self._session = SerialSession(emulator.answer, 1, N150, self.now)
         self._transit_s = 0.0
@@ -67,6 +69,7 @@ class SimulatedCable:
 
     def send(self, data: bytes) -> None:
         """Send a request, which the robot answers with its state at arrival."""
+        # The request takes its time on the line; the state is that of its arrival.
         self.sleep(len(data) * BYTE_S)
         self._session.receive(data)
 
@@ -79,6 +82,7 @@ class SimulatedCable:
                 raise ReplyTimeout("the robot is silent")
             self.sleep(min(left_s, POLL_S))
         self.last_reply = data
+        # The reply's own time on the line passes before the next request.
         # Ten bits per byte at 38400 baud.
         self._transit_s += len(data) * BYTE_S
         return data
@@ -109,6 +113,7 @@ def exchange(plan: Plan, exchanges: int, *, checks: bool = True) -> Outcome:
     backend = DirectBackend(line, N150, checks=checks, clock=cable.now)
     outcome = Outcome(exchanges)
     for number in range(1, exchanges + 1):
+        # Nothing was sent yet: a reply of an earlier exchange must not count as this one's.
         cable.last_reply = b""
         try:
             reply = backend.execute(GS)
@@ -140,6 +145,7 @@ def missed(outcome: Outcome) -> list[str]:
     """Return the missed targets; noise affects every byte, other plans every tenth exchange."""
     # Noise may produce a valid checksum: a low rate of wrong values is allowed.
     if "noise" in outcome.struck:
+        # The bound is for 100,000 exchanges; a short run may have one.
         allowed = max(1, TARGET_WRONG * outcome.exchanges // 100_000)
         return [f"{outcome.wrong} wrong values, {allowed} at most"] if outcome.wrong > allowed else []
     # Plans affect every tenth exchange: others must not be lost.
@@ -163,9 +169,11 @@ def _failures(outcome: Outcome) -> int:
 
 def read_packet(frame: bytes) -> tuple[int, ...]:
     """Decode the frame of a state packet by docs/protocol.md, in the order of `numbers_of`; () for other frames."""
+    # 6 bytes of the frame; type 7 is the reply to gs.
     if len(frame) != PACKET.size + 6 or frame[3] != 7:
         return ()
     sonars, bumpers, *shorts, motors, clock, cpu, motor = PACKET.unpack(frame[4:-2])
+    # Sign-magnitude: the top bit is the sign.
     signed = [0x8000 - short if short & 0x8000 else short for short in shorts]
     return (*sonars, int.from_bytes(bumpers, "big"), *signed, motors, clock, cpu, motor)
 

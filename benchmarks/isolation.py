@@ -57,6 +57,7 @@ WATCHERS: Final = 10
 RATE_HZ: Final = 200.0
 PROBES_HZ: Final = 10.0
 CHURN_HZ: Final = 650.0
+# Enough for a search through all of them to show in a turn.
 OBSTACLES: Final = 1000
 FLOODS: Final = 50
 # A daemon that is idle has some 100 turns per second; more turns per round than this are not stored.
@@ -78,12 +79,14 @@ def request(name: str, *args: int) -> bytes:
 
 def block(number: int) -> tuple[int, ...]:
     """Return the corners of a small obstacle, one of a grid far from the robot, as arguments of add_obstacle."""
+    # A grid of 40 columns, 6 in apart, 300 in from the origin; the wire has tenths of an inch.
     x, y = 3000 + 60 * (number % 40), 3000 + 60 * (number // 40)
     return 4, x, y, x + 30, y, x + 30, y + 30, x, y + 30
 
 
 def near_block(number: int) -> tuple[int, ...]:
     """Return the corners of a small obstacle, one of rings around the origin from 30 to 120 in, as arguments."""
+    # 50 on each ring, rings 4.7 in apart, from 30 in on.
     angle, radius = 2.0 * math.pi * (number % 50) / 50, 300 + 47 * (number // 50)
     x, y = round(radius * math.cos(angle)), round(radius * math.sin(angle))
     return 4, x, y, x + 20, y, x + 20, y + 20, x, y + 20
@@ -99,6 +102,7 @@ def serve(arguments: list[str]) -> None:
     turns: list[float] = []
     run_once: Callable[[Any], None] = asyncio.BaseEventLoop._run_once  # type: ignore[attr-defined]
 
+    # Thread time: waiting in select and other processes do not count.
     def measured(loop: Any) -> None:
         began_s = time.thread_time()
         run_once(loop)
@@ -110,6 +114,7 @@ def serve(arguments: list[str]) -> None:
         turns.clear()
         found = {"turns": len(ordered), "turn_ms": 1000 * ordered[int(0.999 * (len(ordered) - 1))],
                  "longest_ms": 1000 * ordered[-1]}  # fmt: skip
+        # os.write is safe in a signal handler, print is not.
         os.write(2, f"turns {json.dumps(found)}\n".encode())
 
     asyncio.BaseEventLoop._run_once = measured  # type: ignore[attr-defined]
@@ -122,6 +127,7 @@ class MeasuredDaemon:
 
     def __init__(self, process: subprocess.Popen[str], is_page: bool) -> None:
         self._process = process
+        # The daemon prints a line for the port, and one for the page.
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(1 + is_page)]
         self.port = int(lines[0].rpartition(":")[2])
@@ -173,12 +179,14 @@ def churn(port: int, count: Count, messages: bytes) -> None:
     """Connect, send mutated messages and close, CHURN_HZ times a second."""
     rng, due_s = random.Random(1), time.monotonic()
     while True:
+        # Three bytes of valid requests are changed, so that some of them pass the first checks.
         mutated = bytearray(messages)
         for _ in range(3):
             mutated[rng.randrange(len(mutated))] = rng.randrange(256)
         with contextlib.suppress(OSError), socket.create_connection((HOST, port), timeout=5) as client:
             client.sendall(mutated)
         count()
+        # No more than 0.1 s are made up for after a pause.
         due_s = max(due_s + 1.0 / CHURN_HZ, time.monotonic() - 0.1)
         time.sleep(max(0.0, due_s - time.monotonic()))
 
@@ -208,6 +216,7 @@ def flood(port: int, count: Count, message: bytes, connections: int, laser: bool
     clients = [connected(port) for _ in range(connections)]
     for client in clients:
         if laser:
+            # A laser that is on makes each prediction longer.
             ask(client, request("conf_ls", 51, 20, 16, 0, 4))
         client.setblocking(False)
     while True:
@@ -217,6 +226,7 @@ def flood(port: int, count: Count, message: bytes, connections: int, laser: bool
         for client in readable:
             count()
             client.recv(1 << 20)
+        # A short pause, so that this process does not take a whole core.
         time.sleep(0.0005)
 
 
@@ -226,6 +236,7 @@ async def call(page: str, count: Count) -> None:
 
     origin, _, query = page.partition("/?")
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{origin}/ws?{query}", origin=origin) as web:
+        # Twenty outstanding calls: the daemon always has the next one.
         for number in range(20):
             await web.send_json({"do": "call", "id": number, "robot": 1, "call": "st", "args": []})
         async for message in web:
@@ -257,6 +268,7 @@ def be_hostile(kind: str, port: int, page: str) -> None:
         attempts += 1
 
     def end(*_: object) -> None:
+        # The handler of SIGTERM ends the process at once: its loop would not return.
         os.write(1, f"{attempts / (time.monotonic() - began_s)}\n".encode())
         os._exit(0)
 
@@ -293,6 +305,7 @@ def hostility(kind: str, running: MeasuredDaemon, rates: list[float], *, ahead: 
             assert process.stdout is not None
             if process.stdout.readline().strip() != BEGUN:
                 raise RuntimeError(f"no {kind}")
+            # The first attempts, with connections and caches, are not measured.
             time.sleep(0.2)
             yield
             if process.poll() is not None:
@@ -325,6 +338,7 @@ def watch(port: int, seconds: float) -> tuple[float, float, float]:
             time.sleep(wait_s)
             # The system may wake this process late, for want of a core: that is not the daemon's delay.
             begin_s = time.perf_counter()
+        # One client after another, so that each has 20 Hz.
         ask(clients[len(trips) % WATCHERS], GS)
         trips.append(time.perf_counter() - begin_s)
         due_s += 1.0 / RATE_HZ
@@ -355,6 +369,7 @@ def measure(kind: str, rounds: int, seconds: float, ahead: bool = False) -> dict
         for _ in range(rounds):
             alone.append(watch(running.port, seconds)[0])
             with hostility(kind, running, rates, ahead=ahead):
+                # Counts so far are those of the round alone: they are discarded.
                 running.turns()
                 trip_ms, served_ms, p95_ms = watch(running.port, seconds)
                 turn = running.turns()
@@ -363,6 +378,7 @@ def measure(kind: str, rounds: int, seconds: float, ahead: bool = False) -> dict
             p95.append(p95_ms)
             turns.append(turn["turn_ms"])
             longest.append(turn["longest_ms"])
+    # The bound depends on the latency without the hostile client, on the same machine at the same time.
     bound = bound_ms(statistics.median(alone))
     found: dict[str, Any] = {
         "hostile": kind, "attempts_per_s": statistics.mean(rates), "turn_ms": statistics.median(turns),

@@ -46,6 +46,7 @@ class Host:
     """A blocking program on a serial line that repeats one prepared request."""
 
     def __init__(self, path: Path) -> None:
+        # The line is no controlling terminal: otherwise its end would send SIGHUP.
         self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
         tty.setraw(self._fd)
 
@@ -104,8 +105,10 @@ def hosts(*words: str) -> Iterator[dict[str, Callable[[], None]]]:
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
     """Return rates and ratios; only the daemon that is measured runs."""
+    # Without pacing: the daemon's own time is measured.
     with bare_echo() as echo, hosts() as measured:
         fast = compare({"echo": echo, **measured}, rounds, calls)
+    # At 38400 baud: the daemon delays each byte, so that fewer calls are enough.
     with hosts("--baud", str(BAUD)) as measured:
         slow = compare(measured, rounds, PACED_CALLS)
     return _result(fast, slow)

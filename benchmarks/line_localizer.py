@@ -79,6 +79,7 @@ def measure(seeds: int, speed: float) -> dict[str, list[dict[str, Any]]]:
     for seed in range(seeds):
         for line, runs in found.items():
             with daemon(seed, speed) as places, connect(places["tcp"] + "?tm_s=0") as observer:
+                # tm_s=0: the observer must not set the motion timeout of the driven robot.
                 runs.append(localized(places[line], observer).summary())
     return found
 

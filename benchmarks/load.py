@@ -42,6 +42,7 @@ EXTRA_MS: Final = 2.0
 RATE_HZ: Final = 10.0
 HOST: Final = "127.0.0.1"
 HOSTILE: Final = ("flood", "stall", "deaf")
+# Robot 1; the process number is arbitrary.
 CONNECT: Final = codec.encode_tcp_request(Call("connect_robot", (1, 1)))
 GS: Final = codec.encode_tcp_request(Call("gs"))
 CONNECT_REPLY_SIZE, REPLY_SIZE = 8, 4 + 4 * 49
@@ -102,7 +103,9 @@ async def asking(client: Client, first_s: float, end_s: float) -> list[float]:
 async def ask(port: int, clients: int, seconds: float) -> list[float]:
     """Run clients, evenly spread over 0.1 s, and return all round-trip times in seconds."""
     there = [await connected(port) for _ in range(clients)]
+    # 0.5 s from now: by then all tasks are started.
     begin_s = asyncio.get_running_loop().time() + 0.5
+    # Evenly within one period, so that 200 requests do not arrive at once.
     starts = [begin_s + number / clients / RATE_HZ for number in range(clients)]
     asked = zip(there, starts, strict=True)
     found = await asyncio.gather(*(asking(client, start_s, begin_s + seconds) for client, start_s in asked))
@@ -120,14 +123,17 @@ def be_hostile(kind: str, port: int) -> None:
 def _once(kind: str, hostile: socket.socket) -> None:
     """Send until the daemon closes the connection."""
     # Half a request, or many at once.
+    # Half: one request and three bytes of the next one.
     hostile.sendall(CONNECT + (GS + GS[:3] if kind == "stall" else GS * MANY))
     print(BEGUN, flush=True)
     if kind == "stall":
         while hostile.recv(65536):
             pass
+        # A stalled client waits until the daemon closes the connection, and is started again.
         return
     hostile.setblocking(False)
     # A flood receives its replies, so that the daemon never stops sending.
+    # A deaf client never reads: the daemon's buffer for it fills up.
     listens = [hostile] if kind == "flood" else []
     while True:
         readable, writable, _ = select.select(listens, [hostile], [])

@@ -34,8 +34,10 @@ MODBUS_PORT: Final = 15021
 
 async def _serve(ports: queue.SimpleQueue[int]) -> None:
     emulator = open_address("sim:thesis_room").emulator
+    # No lockstep: time runs by the clock, as with a daemon.
     emulator.clock.lockstep_s = None
     daemon = Daemon(emulator)
+    # No limit of the request rate: the client sends as fast as it can.
     daemon.admission.limits = dataclasses.replace(daemon.admission.limits, rate=0)
     port = await daemon.listen("127.0.0.1", 0)
     registers = ModbusDeviceContext(hr=ModbusSequentialDataBlock(1, [7] * (WORDS + 1)))
@@ -54,6 +56,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
     peer.connect()
 
     def read() -> None:
+        # An answer with an error code would be faster, and must not be counted.
         assert not peer.read_holding_registers(1, count=WORDS).isError()
 
     with connect(f"nserver://127.0.0.1:{port}/1") as robot:

@@ -51,18 +51,21 @@ class Viewers:
                     received += 1
                     self.pictures += 1
                     if received % ACKNOWLEDGE_EVERY == 0:
+                        # Only the number of the frame is read: parsing each picture as JSON would load the machine.
                         frame = int(message.data[26:40].split(",")[0])
                         await socket.send_str(f'{{"do":"seen","frame":{frame}}}')
 
 
 async def main(url: str, count: int) -> None:
     """Connect and disconnect on command."""
+    # No limit of connections: aiohttp's default is 100.
     async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
         crowd = Viewers(session, url, count)
         began = 0.0
         while line := await asyncio.to_thread(sys.stdin.readline):
             if line.strip() == "look":
                 await crowd.look()
+                # Counting begins when all have a picture.
                 began, crowd.pictures = time.monotonic(), 0
                 print("looking", flush=True)
             else:

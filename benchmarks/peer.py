@@ -30,6 +30,7 @@ SPEED_IN_S, TURN_RAD_S = 10.0, 0.75
 
 def peer(world: World) -> Callable[[int], None] | None:
     """Return a function that executes a number of steps of 0.1 s in ir-sim; None if it is not installed."""
+    # A backend without a window; ir-sim prints while it is imported.
     os.environ.setdefault("MPLBACKEND", "Agg")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
@@ -46,6 +47,7 @@ def peer(world: World) -> Callable[[int], None] | None:
         for _ in range(steps):
             env.step(action)
             assert len(env.get_lidar_scan()["ranges"]) == 16
+        # A collision would stop ir-sim's robot, and the rest would be cheap.
         assert not env.robot.collision
 
     return run

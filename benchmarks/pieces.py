@@ -19,6 +19,7 @@ from nclient.protocol.commands import Call
 
 TARGET_MS = 2.0
 REPLY_SIZE, CONNECT_REPLY_SIZE = 4 + 4 * 49, 8
+# A header of 4 bytes, and then the words one by one.
 PIECE_SIZE = 4
 
 
@@ -26,6 +27,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
     """Return the mean time of an exchange sent whole and in pieces, and the difference."""
     request = codec.encode_tcp_request(Call("vm", (0, 0, 0)))
     connect = codec.encode_tcp_request(Call("connect_robot", (1, 1)))
+    # No limit of the request rate.
     with started([sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]) as line:
         port = int(line.rpartition(":")[2])
         sides = {
@@ -35,6 +37,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
         paces = compare(dict(sides), rounds, calls)
         for pinger in sides.values():
             pinger.close()
+    # The mean time of an exchange, from the median rate of the rounds.
     whole_ms, pieces_ms = (1000 / paces[name].per_second for name in ("whole", "pieces"))
     delay_ms = pieces_ms - whole_ms
     return {"whole_ms": whole_ms, "pieces_ms": pieces_ms, "delay_ms": delay_ms, "delay_ms_target": TARGET_MS}

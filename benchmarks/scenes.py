@@ -25,6 +25,7 @@ SPACING_IN: Final = 100.0
 
 def room(half_in: float, walls: int, starts: FloatArray, free_in: float) -> World:
     """Return a square room with random 30 in walls, none near a start; `walls` includes the four of the room."""
+    # More middles than walls: those near a start are discarded.
     rng = np.random.default_rng(150)
     middles = rng.uniform(-half_in, half_in, (8 * walls, 2))
     away = np.hypot(*(middles[:, None] - starts).T).min(axis=0)
@@ -50,6 +51,7 @@ def crowd(robots: int, setup: RobotSetup, places_for: int = 0) -> Simulation:
     starts = np.array([(x, y) for y in places for x in places])[:robots]
     simulation = Simulation(room(half_in, WALLS, starts, 15.0 + N150.body.radius_in), seed=1)
     for number, (x, y) in enumerate(starts.tolist()):
+        # 2.4 rad apart: neighbours drive in different directions.
         simulation.add_robot(number + 1, StartPose(x, y, 2.4 * number, 2.4 * number), setup=setup, powered=False)
     simulation.power_on()
     return simulation

@@ -25,6 +25,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
     """Rates, 99th percentiles and their ratio."""
     gs = codec.encode_tcp_request(Call("gs"))
     connect = codec.encode_tcp_request(Call("connect_robot", (1, 1)))
+    # No limit of the request rate: the client sends as fast as the server replies.
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
         sides = {

@@ -73,6 +73,7 @@ def yardstick(walls: FloatArray) -> Callable[[], None]:
 def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: int = 1, steps: int = 300) -> Result:
     """Measure the steps per second of one robot whose sonars are read every `look_every` steps."""
     simulation = alone(setup, walls)
+    # The yardstick has the same walls in every measurement, whatever the measured scene has.
     cast = yardstick(alone(IDEAL).world.walls)
     step_s, cast_s = best_s((lambda: roam(simulation, steps, DT_S, look_every), cast), rounds)
     step_s, cast_s = step_s / steps, cast_s / CASTS
@@ -90,6 +91,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
 def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8, places_for: int = 0) -> Result:
     """Measure the speed of a group whose rings are read every `look_every` steps, 0 never."""
     simulation, simulated_s = crowd(robots, setup, places_for), 8 * CROWD_DT_S
+    # Objects of earlier measurements are exempt: searching them would count as time of this one.
     gc.collect()
     gc.freeze()
     cast = yardstick(alone(IDEAL).world.walls)
@@ -122,6 +124,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
         piece_s, some_s = best_s((lambda: roam(simulation, 8, CROWD_DT_S, 8), cast), 1)
         pieces_s.append((simulation.time_s, piece_s))
         cast_s = min(cast_s, some_s)
+    # Pieces that begin within the seconds BUNCHED_S.
     late_s = [piece_s for end_s, piece_s in pieces_s if end_s - 8 * CROWD_DT_S >= BUNCHED_S[0]]
     simulated_s = 8 * CROWD_DT_S * len(late_s)
     group = list(simulation.robots.values())
@@ -145,6 +148,7 @@ def against_peer(rounds: int) -> Result | None:
     theirs = peer(simulations[0].world)
     if theirs is None:
         return None
+    # Rates 15 and 1: 60 ms and 4 ms between firings, 1.7 and 25 rays in a step.
     for simulation, rate in zip(simulations, (15, 1), strict=True):
         robot = simulation.robots[1]
         robot.set_velocities(SPEED_IN_S, TURN_RAD_S, 0.0)
@@ -157,6 +161,7 @@ def against_peer(rounds: int) -> Result | None:
             assert len(robot.sonar.readings_in) == 16
 
     usual_s, fastest_s, their_s = best_s((lambda: ours(0), lambda: ours(1), lambda: theirs(100)), rounds)
+    # A robot that touches something stands, and is cheaper.
     assert all(simulation.robots[1].moving[0] for simulation in simulations)
     return {
         "steps_per_s": round(100 / usual_s),
@@ -174,6 +179,7 @@ def growth(rounds: int) -> str:
     def add(what: str, amount: str, result: Result, us: float) -> None:
         rows.append(f"| {what} | {amount} | {us:.0f} | {us / float(result['yardstick_us']):.1f} |")
 
+    # The room is the same for all rows, so that only the number of robots changes.
     for robots in (1, 10, 100, 1000):
         result = many_robots(robots, IDEAL, rounds, places_for=1000)
         add("robots in a room for 1,000, rings read once a second", str(robots), result,

@@ -96,6 +96,7 @@ class Daemon:
             looks.append(dict(line.split(":", 1) for line in (place / "status").read_text().splitlines()))
         return Sample(
             time.monotonic() - self.began_s, metrics["simulated_seconds"], int(metrics["steps_total"]),
+            # The smallest of several counts: a request or a save adds to the others.
             min(int(status["VmRSS"].split()[0]) for status in looks), min(descriptors), int(looks[-1]["Threads"]),
             int(metrics["tasks"]), int(metrics["answers_total"]), int(metrics["shapes"]), int(metrics["obstacles"]),
         )  # fmt: skip
@@ -128,6 +129,7 @@ def running(folder: Path, seed: int) -> Iterator[Daemon]:
     with log.open("w") as stderr, subprocess.Popen(command, stdout=pipe, stderr=stderr, text=True) as process:
         try:
             assert process.stdout is not None
+            # One line for each listener: robots, robotd, serial link, control socket and page.
             lines = [process.stdout.readline().split() for _ in range(5)]
             places = {words[1]: words[2] for words in lines if words}
             if len(places) < len(lines):
@@ -150,6 +152,7 @@ async def soak(daemon: Daemon, hours: float, load: Load, rng: random.Random) -> 
     while samples[-1].simulated_s < end_s:
         until_s = min(samples[-1].simulated_s + load.every_s, end_s)
         go_on = asyncio.Event()
+        # A generator for each client, so that the order of their tasks does not change their choices.
         rngs = [random.Random(rng.random()) for _ in range(load.clients)]
         clients = [_run_clients(daemon.target, client_rng, load.rest_s, go_on) for client_rng in rngs]
         tasks = [asyncio.create_task(client) for client in clients]
@@ -168,6 +171,7 @@ async def _run_clients(target: Target, rng: random.Random, rest_s: float, enough
     rounds = 0
     while not enough.is_set():
         for kind in rng.sample(sorted(KINDS), len(KINDS)):
+            # Each kind at least once, even if the time is over.
             if not (rounds and enough.is_set()):
                 await target.run_session(kind, rng)
                 again_s = target.now_s + rng.uniform(0.0, 2.0 * rest_s)
@@ -187,6 +191,7 @@ async def _quiet(daemon: Daemon) -> Sample:
             status = await control_request(daemon.target, "status")
             raise SystemExit(f"still connected after {QUIET_S:g} s: {metrics}, {status}")
         await asyncio.sleep(LOOK_S)
+    # Paused, so that clock and number of steps belong to the same moment.
     await control_request(daemon.target, "pause")
     await asyncio.sleep(SETTLE_S)
     sample = await asyncio.to_thread(daemon.sample)

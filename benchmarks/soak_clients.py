@@ -99,6 +99,7 @@ async def host(target: Target, rng: random.Random) -> None:
     """A program on a robot's own line."""
     address = rng.choice((
         f"robotd://{HOST}:{target.robotd}?model={ROBOTD_MODEL}", f"serial://{target.serial}?model={SERIAL_MODEL}"))
+    # No reconnecting and no keep-alive: the daemon must notice by itself that the client is gone.
     async with await connect_async(f"{address}&timeout_s=0.5&reconnect=0&feed=0") as robot:
         for _ in range(rng.randint(2, 6)):
             await robot.drive(translation_in_s=rng.uniform(-8, 8))
@@ -112,6 +113,7 @@ async def dies(target: Target, rng: random.Random) -> None:
     """A program that is killed within a reply."""
     async with _connected(target, rng) as (reader, writer):
         writer.write(codec.encode_tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
+        # In the middle of the replies, before all of them have arrived.
         await reader.read(100)
         _reset(writer)
 
@@ -156,6 +158,7 @@ async def page(target: Target, rng: random.Random) -> None:
                     await ws.send_json({"do": "seen", "frame": message["frame"]})
             transport = ws.get_extra_info("socket")
             if rng.random() < 0.5 and transport is not None:
+                # Without a closing handshake of the websocket.
                 transport.shutdown(socket.SHUT_RDWR)  # like a laptop that goes to sleep
 
 
@@ -175,6 +178,7 @@ async def owner(target: Target, rng: random.Random) -> None:
         for command in rng.sample(("status", "faults counts", "world show", "stop", "help"), 3):
             writer.write(json.dumps({"command": command}).encode() + b"\n")
             await reader.readline()
+        # A stop by this session must not hold the robot in the next one.
         writer.write(b'{"command": "release"}\n')
         await reader.readline()
 

@@ -54,10 +54,12 @@ class Finding:
 def check_samples(samples: Sequence[Sample], hours: float) -> list[Finding]:
     """Return the findings of at least two samples, the first taken before the first client."""
     first, last = samples[0], samples[-1]
+    # An hour, or half of a run that is shorter than two hours.
     warm_s = min(FIRST_S, 1800.0 * hours)
     warm = next(sample for sample in samples if sample.simulated_s >= warm_s)
     later = samples[samples.index(warm):]  # fmt: skip
     growth = max(sample.rss_kib for sample in later) / warm.rss_kib - 1.0
+    # Steps of 0.1 s: clock and count must agree exactly, not only nearly.
     drift_s = max(abs(sample.simulated_s - sample.steps / STEPS_PER_SECOND) for sample in samples)
     return [
         Finding("simulated hours", last.simulated_s / 3600, f"at least {hours:g}", last.simulated_s >= 3600 * hours),
@@ -73,6 +75,7 @@ def check_samples(samples: Sequence[Sample], hours: float) -> list[Finding]:
 
 def check_leftovers(what: str, counts: Sequence[int]) -> Finding:
     """Check that a count without connections never exceeds the first one."""
+    # Relative to the sample before the first client.
     largest = max(counts) - counts[0]
     return Finding(f"{what} left over, largest of {len(counts)} times", largest, "0", largest <= 0)
 

@@ -47,6 +47,7 @@ def measure_nees(scenario: Scenario, seed: int, at_s: Sequence[float], method: s
     """Return the NEES of the pose and its position error in inches at each of these times, (n, 2)."""
     config = LocalizationConfig(WORLD.walls, N150, scenario.odometry, scenario.sonar)
     # 1. True pose, and a belief that is wrong by its own standard deviations.
+    # Another stream than that of the robot, which has the seed alone.
     rng = np.random.default_rng([seed, 99])
     truth = draw_free_pose(rng)
     belief = independent(truth + np.array(START_STD) * rng.standard_normal(3), START_STD)
@@ -60,6 +61,7 @@ def measure_nees(scenario: Scenario, seed: int, at_s: Sequence[float], method: s
         localizer = Localizer(config, belief, FiringSchedule(start_s), make(method, config, belief, seed))
         estimate = localizer.update(state)
         for until_s in at_s:
+            # The robot stands: each refresh lets 0.5 s of simulated time pass.
             while estimate.clock_s < start_s + until_s:
                 estimate = localizer.update(robot.refresh())
             pose = estimate.belief.pose

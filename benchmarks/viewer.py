@@ -67,6 +67,7 @@ class Metered(Daemon):
 
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
+        # Thread time: waiting and other processes do not count.
         began_s = time.thread_time()
         super().step(dt_s)
         self.stepping_s += time.thread_time() - began_s
@@ -92,6 +93,7 @@ class Share(NamedTuple):
 
 def share(alone: Taken, watched: Taken) -> Share:
     """Return the fraction of the time with viewers that exceeds that of as many steps without."""
+    # Times per step without viewers: of the step itself, and of the rest of the loop.
     step_s, around_s = alone.stepping_s / alone.steps, (alone.whole_s - alone.stepping_s) / alone.steps
     page_s = watched.whole_s - watched.stepping_s - around_s * watched.steps
     return Share(page_s / watched.whole_s, (watched.stepping_s - step_s * watched.steps) / watched.whole_s)
@@ -110,6 +112,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
             writer.write(codec.encode_tcp_request(call))
         with rare_collection():
             yield daemon, lines[0].split()[-1]
+        # A robot that stands would make the steps cheap, and the viewers' fraction large.
         if daemon.emulator.simulation.robots[1].is_still((0,)):
             raise RuntimeError("the robot did not move: nothing was measured")
         writer.close()
@@ -146,6 +149,7 @@ async def measure(rounds: int, seconds: float, count: int) -> dict[str, float]:
     shares: list[Share] = []
     alones, watcheds, rates = [], [], []
     async with running() as (daemon, page), onlookers(page, count) as process:
+        # The first interval is not counted: it fills caches.
         await daemon.over(seconds)
         for _ in range(rounds):
             alone = await daemon.over(seconds)

@@ -19,6 +19,7 @@ def test_json_has_figures_references_and_targets(
     monkeypatch.syspath_prepend(str(SCRIPT.parent))
     script = importlib.import_module("batch")
     assert script.main(["--json", "--robots", "20", "--steps", "2", "--rounds", "1"]) == 0
+    # Small numbers: the test checks the form of the results, as a loaded machine would make any time wrong.
     found = json.loads(capsys.readouterr().out)
     assert len(found) == 2
     for result in found.values():
@@ -32,6 +33,7 @@ def test_rays_are_measured_without_programs_that_are_missing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    # As if none of the other simulators were installed.
     for name in ("vmas", "kheperax", "torch", "jax"):
         monkeypatch.setitem(sys.modules, name, None)
     script = importlib.import_module("batch_rays")

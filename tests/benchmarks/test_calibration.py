@@ -30,12 +30,14 @@ def test_fractions_and_counts() -> None:
     assert outcomes[0].relative_errors == pytest.approx([0.05] * 6)
     assert outcomes[1].normalized_errors[0] == pytest.approx(-0.2 * (true.distance_scale - 1.0) / 0.01)
     lines = calibration.format_table(outcomes).splitlines()
+    # The root mean square of 5 and 20 percent is 14.6 percent.
     assert lines[2].startswith("| root mean square | 14.6% | 14.6%")
     assert lines[4] == "| runs within 10 % | 1 | 1 | 1 | 1 | 1 | 1 |"
 
 
 def test_robots_have_the_given_noise() -> None:
     robots = [calibration.draw_robot(seed) for seed in range(30)]
+    # Errors are drawn away from zero, so that relative errors have a meaning.
     assert all(0.03 <= abs(robot.distance_scale - 1.0) <= 0.06 for robot in robots)
     assert all(1.0 <= abs(offset) <= 2.0 for robot in robots for offset in robot.offsets_in)
     assert {robot.turned_rad > 0.0 for robot in robots} == {True, False}

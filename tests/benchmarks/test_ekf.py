@@ -35,6 +35,7 @@ def result() -> dict[str, Any]:
 
 
 def test_json_holds_each_number_beside_its_bound(result: dict[str, Any]) -> None:
+    # Ratios are computed from the printed times, so that the reader can check them.
     assert result["filterpy_ratio"] == result["filterpy_us"] / result["rays_16_us"]
     assert result["stonesoup_ratio"] == result["stonesoup_us"] / result["rays_16_us"]
     assert result["batch_ratio"] == result["batch_steps_per_s"] / result["single_steps_per_s"]
@@ -51,6 +52,7 @@ def test_the_live_filter_uses_its_echoes(result: dict[str, Any]) -> None:
 
 def test_the_table_marks_missed_bounds() -> None:
     numbers: dict[str, float] = dict.fromkeys(ekf.Result.__annotations__, 10.0)
+    # One value below its minimum and one above its maximum.
     result = ekf.Result(**{**numbers, "filterpy_ratio": 0.5, "figure_s": 61.0})
     lines = [line.split("required: ")[1] for line in ekf.table(result).splitlines() if "required" in line]
     live = ["at least 1, MISSED", "at least 10", "at least 0.67", "at least 4"]

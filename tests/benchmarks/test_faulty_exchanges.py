@@ -18,6 +18,7 @@ from nclient.protocol.serial_framing import build_frame
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faulty_exchanges.py"
 SLICE = 2000
+# Every tenth exchange has a fault: the numbers of those exchanges.
 TENTHS = range(10, SLICE + 1, 10)
 
 
@@ -36,6 +37,7 @@ def test_one_faulty_byte_in_every_tenth_exchange(direction: Direction) -> None:
     assert sum(outcome.struck.values()) == len(TENTHS)
     assert set(outcome.struck) == {"corrupt", "drop_byte", "stray"}
     assert outcome.link["timeouts"] + outcome.link["naks"] == len(outcome.lost)
+    # A stray byte may be skipped without a loss; a missing or changed one always costs the reply.
     assert outcome.struck["corrupt"] + outcome.struck["drop_byte"] <= len(outcome.lost) <= len(TENTHS)
 
 
@@ -47,6 +49,7 @@ def test_each_fault_costs_only_its_own_replies(fault: Fault) -> None:
     assert (outcome.right, outcome.wrong) == (270, 0)
 
 
+# Before the frame and behind its 48 bytes.
 @pytest.mark.parametrize("place", [0, 48])
 def test_stray_byte_costs_no_reply(place: int) -> None:
     outcome = exchange(one_byte((InsertBytes(place=place),), Direction.REPLY, seed=1), 300)
@@ -61,7 +64,9 @@ def test_noise_on_every_byte(checks: bool) -> None:
     outcome = exchange(noise(seed=2), 1500, checks=checks)
     assert outcome.wrong <= 1
     assert outcome.right + outcome.wrong + len(outcome.lost) == 1500
+    # A byte is hit with a probability of 2 percent; 6 bytes of the request and 48 of the reply must all pass.
     frame = 0.98 ** (6 + 48)
+    # Five standard deviations of a binomial distribution.
     assert outcome.right / 1500 == pytest.approx(frame, abs=5 * (frame * (1 - frame) / 1500) ** 0.5)
     assert outcome.struck["corrupted_bytes"] == pytest.approx(outcome.struck["dropped_bytes"], rel=0.2)
 
@@ -72,6 +77,7 @@ def test_missed_targets_are_named() -> None:
     bad = missed(Outcome(20, 16, 1, [10, 13, 20], {"corrupt": 1}, counts))
     assert bad == ["1 wrong values", "lost without a fault: [13]", "1 faults, one in ten wanted",
                    "the client's count of failures is another"]  # fmt: skip
+    # 30 wrong values in 100,000 exchanges with noise are the bound, and 31 are too many.
     assert missed(Outcome(100_000, wrong=30, struck={"noise": 9})) == []
     assert missed(Outcome(100_000, wrong=31, struck={"noise": 9})) == ["31 wrong values, 30 at most"]
 
@@ -86,6 +92,7 @@ def test_corrupt_reply_with_valid_checksum_is_detected() -> None:
 
 
 def test_packet_is_decoded_by_its_layout() -> None:
+    # 0xF0, 1, 2 are bumper bytes; 0x8000 | 20 is -20 and 1 << 31 is 0 in sign-magnitude.
     packet = PACKET.pack(bytes(range(16)), bytes((0xF0, 1, 2)), 10, 0x8000 | 20, *range(6), 7, 1 << 31, 200, 201)
     read = read_packet(build_frame(7, packet))
     assert read[:18] == (*range(16), 0xF00102, 10)

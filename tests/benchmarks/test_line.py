@@ -22,6 +22,7 @@ def test_json_has_ratios_and_references() -> None:
     assert (result["ratio_target"], result["share_target"]) == (0.5, 0.95)
     for host in ("nserver", "client"):
         assert result[f"{host}_ratio"] == result[f"{host}_per_second"] / result["echo_per_second"]
+        # 38400 baud are 3840 bytes a second, of 10 bits each; an exchange has 6 + 48 bytes.
         allowed = 38400 / 10 / (6 + 48)
         assert result[f"{host}_paced_share"] == pytest.approx(result[f"{host}_paced_per_second"] / allowed)
         assert result[f"{host}_paced_share"] <= 1.01

@@ -19,6 +19,7 @@ SPEED = 2.0
 
 @pytest.mark.parametrize("line", ["tcp", "serial"])
 def test_estimate_stays_within_bounds(line: str) -> None:
+    # The observer needs the truth only: its connection sets no motion timeout.
     with daemon(1, SPEED) as places, connect(places["tcp"] + "?tm_s=0") as observer:
         result = localized(places[line], observer).summary()
     assert result["reached"] == 2

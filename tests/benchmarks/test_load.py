@@ -19,6 +19,7 @@ def test_bound_is_larger_of_factor_2_and_2_ms(alone: float, bound: float) -> Non
 
 def test_percentile_equals_numpy() -> None:
     trips = [random.Random(1).expovariate(1.0) for _ in range(5000)]
+    # numpy's method "weibull" interpolates at the rank p (n + 1), as the benchmark does.
     assert load.p99(trips) == pytest.approx(np.percentile(trips, 99, method="weibull"))
 
 
@@ -40,6 +41,7 @@ async def test_latency_counts_from_due_time() -> None:
         client = await load.connected(server.sockets[0].getsockname()[1])
         trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
     assert len(trips) == 10
+    # Requests are due every 0.1 s: those due during the delay of 0.35 s are late by 0.1 s less each.
     assert [trip >= 0.35 - 0.1 * late for late, trip in enumerate(trips[3:6])] == [True] * 3
 
 
@@ -73,6 +75,7 @@ def test_round_without_hostile_client_fails() -> None:
 def test_exceeded_bound_sets_exit_code(
     beside_ms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # Bound 3 ms: 3.0 is met and 3.1 is not.
     found = {"alone_p99_ms": 1.0, "beside_p99_ms": beside_ms, "bound_ms": 3.0, "is_met": beside_ms <= 3.0}
     monkeypatch.setattr(load, "measure", lambda *_: found)
     assert load.main(["--hostile", "deaf"]) == code
@@ -101,6 +104,7 @@ def test_stalled_client_stops_and_reconnects() -> None:
             victim, _ = server.accept()
             with victim:
                 victim.settimeout(60)
+                # A whole request and three bytes of the next one, and then nothing.
                 whole = load.CONNECT + load.GS + load.GS[:3]
                 assert victim.recv(len(whole), socket.MSG_WAITALL) == whole
                 victim.settimeout(0.05)

@@ -15,4 +15,5 @@ def test_request_in_pieces_meets_target() -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
     result = json.loads(done.stdout)
     assert result["delay_ms"] == result["pieces_ms"] - result["whole_ms"]
+    # Ten times the target, since a loaded machine is slower.
     assert result["delay_ms"] < 10 * result["delay_ms_target"]  # 40 ms without immediate acknowledgement

@@ -22,6 +22,7 @@ def test_json_has_figures_references_and_targets() -> None:
     one, unread = found["one"], found["one, sonars never read"]
     assert (one["setup"], one["walls"], one["target_steps_per_s"]) == ("ideal", 50, 10_000)
     assert one["ratio"] == pytest.approx(one["yardstick_us"] / one["step_us"], rel=0.02)
+    # Printed values are rounded: 2 percent.
     assert one["steps_per_s"] == pytest.approx(1e6 / one["step_us"], rel=0.02)
     assert unread["walls"] == 50
     assert found["50 robots"]["target_times_real_time"] == 10.0

@@ -12,6 +12,7 @@ from localization.experiments.live_trial import SCENARIOS
 from localization.filters.belief import chi_square_quantile
 
 SEEDS = 6
+# The sum of NEES over six robots has a chi-square distribution with 3 x 6 degrees of freedom.
 LEAST, MOST = (chi_square_quantile(share, 3 * SEEDS) for share in (0.001, 0.999))
 
 

@@ -38,6 +38,8 @@ SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 def can_build_32_bit() -> bool:
     """Return True if 32-bit programs can be compiled and run on this machine."""
     with tempfile.TemporaryDirectory() as folder:
+        # The compiler may accept -m32 and lack the 32-bit headers, or the kernel may not run the program: both are
+        # tried.
         source, made = Path(folder) / "try.c", Path(folder) / "try"
         source.write_text("#include <stdio.h>\nint main(void) { return sizeof(long) != 4; }\n")
         command = ["cc", "-m32", str(source), "-o", str(made)]
@@ -87,6 +89,7 @@ class BuildCache:
     def libraries(self, kind: BuildKind) -> Path:
         """Return the folder of libnclient.a and libndirect.a, building them first if needed."""
         folder = self.folder / kind.name
+        # Workers of one test run need the same library: the first one builds it while the others wait for the lock.
         with self._lock(kind.name):
             if not (folder / "complete").exists():
                 options = (f"BUILD={folder}", f"CFLAGS={kind.optimization}", *kind.make_options)
@@ -94,6 +97,7 @@ class BuildCache:
                 for made in folder.rglob("*.a"):  # M32 and SANITIZE build in subfolders
                     if made.parent != folder:
                         shutil.copy(made, folder)
+                # A marker, since an interrupted build leaves some of the files.
                 (folder / "complete").touch()
         return folder
 
@@ -111,6 +115,7 @@ class BuildCache:
                 linked = ("-L", str(libraries), f"-l{library}", *extra_libraries)
                 standard = flags or ("-std=c99", *WARNINGS)
                 run(["cc", *standard, "-g", *kind.flags, *headers, str(source), *linked, "-o", str(partial)])
+                # Renamed when complete: another worker must not execute a half-written program.
                 partial.rename(made)
         return made
 
@@ -153,6 +158,7 @@ def run_nserver(*words: str) -> Iterator[str]:
     """Run a server and yield its port."""
     with Forked("nserver", "--port", "0", *words) as process:
         try:
+            # The server prints its port in its first line, and the serial link in the second one.
             port = process.stdout.readline().rpartition(":")[2].strip()
             if "--serial-link" in words:
                 process.stdout.readline()

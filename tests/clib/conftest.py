@@ -12,6 +12,7 @@ NO_32_BITS = "32-bit builds are not tested: cc -m32 does not work on this machin
 @pytest.fixture(scope="session")
 def builds(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> BuildCache:
     """Return the build cache, shared by all workers of the test run."""
+    # Under pytest-xdist each worker has a subfolder of its own: the parent folder is common to all.
     base = tmp_path_factory.getbasetemp()
     return BuildCache((base if worker_id == "master" else base.parent) / "clib")
 

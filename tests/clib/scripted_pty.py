@@ -28,6 +28,7 @@ def serve_pty(robot: ScriptedLine) -> Iterator[str]:
     try:
         yield os.ttyname(slave)
     finally:
+        # Closing the other end ends the read of the thread with an error.
         os.close(slave)
         thread.join(10)
         os.close(master)

@@ -44,6 +44,7 @@ def test_numbers_are_clamped(direct: str) -> None:
     found = calls_with_line(direct, robot, "pr 40000 -40000 1", "sp -5 70000 450", "conf_tm 255",
                             "place_robot 40000 1 2 3", "ws 1 0 0 255", "conf_ser 1 9600")  # fmt: skip
     assert [after["return"] for after in found] == [1] * 6
+    # Sign-magnitude of 16 bits, unsigned 16 bits, one byte. place_robot is sent as dp and da.
     assert robot.calls == [
         Call("pr", (32767, -32767, 1)), Call("sp", (0, 65535, 450)), Call("conf_tm", (255,)),
         Call("dp", (32767, 1)), Call("da", (2, 3)),
@@ -55,6 +56,7 @@ def test_numbers_are_clamped(direct: str) -> None:
 def test_nak_succeeds_and_timeout_fails(direct: str) -> None:
     robot = ScriptedLine({"vm": NAK, "gs": [None]})
     nak, silent, fine = calls_with_line(direct, robot, "vm 1 2 3", "gs", "gs")
+    # A NAK is success with State unchanged; a missing reply is failure, and the session goes on.
     assert (nak["return"], nak["State"][17]) == (1, 0)
     assert (silent["return"], silent["error"]) == (0, "gs: no valid reply in time")
     assert (fine["return"], fine["State"][17], fine["State"][33]) == (1, 57, 0xF00000)
@@ -64,7 +66,10 @@ def test_nak_succeeds_and_timeout_fails(direct: str) -> None:
 def test_noise_and_late_replies_are_skipped(direct: str) -> None:
     robot = ScriptedLine()
     good = robot.frame("get_rv")
+    # One bit of the data is wrong, so that the checksum is, too.
     spoiled = bytes((*good[:6], good[6] ^ 4, *good[7:]))
+    # Noise that looks like a start; the head of a frame and the reply to another command; a corrupt reply; a good
+    # one.
     robot.answers["get_rv"] = [b"\x01\xff\x7f" + good, b"\x01\x05" + robot.frame("get_rc") + good, spoiled, good]
     found = calls_with_line(direct, robot, "get_rv", "get_rv", "get_rv", "get_rv")
     assert [after["return"] for after in found] == [1, 1, 0, 1]
@@ -76,14 +81,18 @@ def velocities(*numbers: int) -> Reply:
 
 @pytest.mark.usefixtures("short_timeout")
 def test_late_reply_is_not_used_for_next_call(direct: str) -> None:
+    # The first reply to get_rv comes with the next command, after the time-out.
     robot = ScriptedLine({"get_rv": [Late(velocities(1, 1, 1)), velocities(2, 2, 2)], "st": [None]})
     late, fine, silent, stopped = calls_with_line(direct, robot, "get_rv", "get_rv", "st", "st")
     assert [after["return"] for after in (late, fine, silent, stopped)] == [0, 1, 0, 1]
     assert fine["State"][38:41] == [2, 2, 2]
+    # get_ra is a probe: once it is answered, no older reply can arrive. st is sent at once, and again after the
+    # probe.
     assert robot.names() == ["get_rv", "get_ra", "get_rv", "st", "st", "get_ra", "st"]
 
 
 @pytest.mark.usefixtures("short_timeout")
+# A NAK does not name its command: with vm outstanding it may belong to vm or to st.
 def test_nak_is_ambiguous_while_reply_is_pending(direct: str) -> None:
     robot = ScriptedLine({"vm": [None], "st": NAK})
     lost, ambiguous, not_sent = calls_with_line(direct, robot, "vm 1 2 3", "st", "vm 1 2 3")
@@ -99,6 +108,7 @@ def test_query_is_not_sent_on_dead_line(direct: str) -> None:
 
 @pytest.mark.usefixtures("short_timeout")
 def test_line_is_drained_if_all_types_are_pending(direct: str) -> None:
+    # All types of probes are outstanding, so that only silence shows that no late reply will arrive.
     queried = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
     robot = ScriptedLine({name: [None] for name in queried})
     *silent, fine = calls_with_line(direct, robot, *queried, "get_rv")
@@ -112,6 +122,7 @@ def test_mask_without_reply_is_sent_again(direct: str) -> None:
     robot.answers["ct"] = [robot.frame("ct"), None]
     lost, after = calls_with_line(direct, robot, "posDataRequest 2", "gs")
     assert (lost["return"], after["return"]) == (0, 1)
+    # ct of the connection; the one without a reply; a probe; ct again, before gs is decoded under that mask.
     assert robot.names() == ["ct", "ct", "get_ra", "ct", "gs"]
     assert after["State"][17] == 57
 
@@ -133,12 +144,14 @@ def test_mask_with_nak_is_not_applied(direct: str) -> None:
 
 
 def test_reply_of_another_model_is_rejected(direct: str) -> None:
+    # A state packet of three bytes with a valid checksum.
     robot = ScriptedLine({"gs": build_frame(7, b"123")})
     (found,) = calls_with_line(direct, robot, "gs")
     assert (found["return"], found["error"]) == (0, "gs: the reply has the wrong format; is the robot of this model?")
 
 
 def test_disconnected_line(direct: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The other end accepts the connection and closes it.
     with on_socket(lambda _: None) as port:
         monkeypatch.setenv("NOMAD_ROBOT", f"robotd://127.0.0.1:{port}?model=n150&tm_s=0")
         connected, closed, after, _ = run_calls([direct], "connect_robot 1\ngs\ngs\n")
@@ -164,6 +177,7 @@ def test_unavailable_commands_are_not_sent(direct: str, model: Model, call: str,
 
 def test_n200_handshake_over_tcp(direct: str) -> None:
     mask = EVERYTHING.with_position(2)
+    # Mask with the stamps of the sonars, laser mode 33.
     hello = build_handshake(Handshake(mask, 33))
 
     def talk(connection: socket.socket) -> None:
@@ -172,7 +186,9 @@ def test_n200_handshake_over_tcp(direct: str) -> None:
 
     with on_socket(talk) as port:
         found, _ = run_calls([direct, "0", "127.0.0.1", str(port)], "connect_robot 1\n")
+    # The program's mask is the one of the handshake.
     assert (found["return"], found["pos"]) == (1, 2)
+    # One byte less than the handshake.
     with on_socket(lambda connection: connection.sendall(hello[:-1])) as port:
         found, _ = run_calls([direct, "0", "127.0.0.1", str(port)], "connect_robot 1\n")
     assert found["return"] == 0
@@ -199,9 +215,11 @@ def test_locked_port_is_not_touched(direct: str) -> None:
     with serve_pty(robot) as device:
         words = [direct, "1", device, "9600"]
         other = os.open(device, os.O_RDWR | os.O_NOCTTY)
+        # Another program holds the lock of the port.
         fcntl.flock(other, fcntl.LOCK_EX)
         before = termios.tcgetattr(other)
         refused, queried, _ = run_calls(words, "connect_robot 1\ngs\n")
+        # The settings of the port must not change: the other program is using it.
         assert termios.tcgetattr(other) == before
         os.close(other)
         assert (refused["return"], queried["return"], robot.calls) == (0, 0, [])
@@ -221,6 +239,7 @@ def test_connected_program_locks_its_port(direct: str) -> None:
             first.stdout.readline()
             second, _ = run_calls([direct, "1", device, "38400"], "connect_robot 1\n")
             assert (second["return"], "is in use by another program" in second["error"]) == (0, True)
+            # Both languages use the same lock, so that each sees the other's.
             with pytest.raises(ConnectionLost, match=rf"in use .*\(process {first.pid}\)"):
                 SerialStream(device)
             first.communicate(timeout=10)
@@ -233,6 +252,7 @@ def test_line_from_environment(direct: str, monkeypatch: pytest.MonkeyPatch) -> 
         running, connected, queried, again, _ = run_calls(
             [direct], "server_is_running\nconnect_robot 1\ngs\nserver_is_running\n")
     assert [running["return"], connected["return"], queried["return"], again["return"]] == [1, 1, 1, 1]
+    # A Scout at rest has no bumper bits; a N150 would show four.
     assert queried["State"][33] == 0
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab/1")
     found, _ = run_calls([direct], "connect_robot 1\n")
@@ -248,6 +268,7 @@ def test_calls_for_a_simulation_do_nothing_on_a_line(direct: str, call: str) -> 
     robot = ScriptedLine()
     queried, found = calls_with_line(direct, robot, "gs", call)
     assert found["return"] == 1
+    # The state is that of the call before.
     assert {name: value for name, value in found.items() if name in queried} == queried
     assert robot.names() == ["gs"]
 

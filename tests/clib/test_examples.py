@@ -10,6 +10,7 @@ from tests.clib.clib_build import PLAIN, ROOT, TIMEOUT_S, BuildCache, run_nserve
 
 C_PRINTS = {
     "wander.c": r"\d+ of 300 steps were turns, at -?\d+, -?\d+ tenths",
+    # A mean distance to the wall of 16.0 to 26.9 in.
     "wall_follower.c": r"\d\d\d steps along walls, (1[6-9]|2[0-6])\.\d in away",
 }
 

@@ -32,6 +32,7 @@ ADDITIONS = {"last_error": "nomad_last_error", "sim_truth": "nomad_sim_truth", "
 
 def declared_functions(text: str) -> dict[str, str]:
     """Return the functions of a header with their parameter lists."""
+    # Comments may contain text that looks like a declaration.
     plain = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     found = re.findall(r"^extern (?:const |signed |unsigned )?\w+ \*?(\w+)\(([^)]*)\);", plain, re.MULTILINE)
     return {name: " ".join(arguments.split()) for name, arguments in found}
@@ -70,6 +71,7 @@ def test_constants_equal_capi() -> None:
         assert float(NUMBERS[name]) == getattr(capi, name)
     assert len(capi.State) == int(NUMBERS["NUM_STATE"]) == STATE_SIZE
     assert len(capi.Smask) == int(NUMBERS["NUM_MASK"])
+    # A count and NUM_LASER readings of two numbers.
     assert len(capi.Laser) == 2 * int(NUMBERS["NUM_LASER"]) + 1
     assert int(NUMBERS["STATE_ERROR"]) == ERROR_SLOT
     for index in range(16):
@@ -87,6 +89,7 @@ if shutil.which("c++"):
 @pytest.mark.parametrize(("standard", "language"), LANGUAGES)
 def test_headers_compile_in_every_standard(standard: str, language: str, tmp_path: Path) -> None:
     program = tmp_path / "program"
+    # Included twice: the header must protect itself.
     program.write_text('#include "Nclient.h"\n#include "nomad.h"\n#include "Nclient.h"\n'
                        "int main(void) { return connect_robot(1) && vm(1, RIGHT(3, 4), 0); }\n")  # fmt: skip
     strict = () if standard == "gnu89" else ("-Wpedantic",)
@@ -100,6 +103,7 @@ def test_headers_compile_in_every_standard(standard: str, language: str, tmp_pat
 def test_libraries_export_only_header_names(library: str, builds: BuildCache) -> None:
     made = builds.libraries(PLAIN) / library
     listed = subprocess.run(["nm", "-g", "--defined-only", str(made)], capture_output=True, text=True, check=True)
+    # Lines without an address are undefined symbols.
     symbols = {line.split()[-1] for line in listed.stdout.splitlines() if len(line.split()) == 3}
     globals_ = set(re.findall(r"^extern (?:char|int|long|double) (\w+)(?:\[.*?\])?;", HEADER, re.MULTILINE))
     assert len(globals_) == 18

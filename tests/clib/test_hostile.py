@@ -32,8 +32,10 @@ def corpus_lines(session: Iterator[Exchange], wire_state: WireState, model: Mode
     for exchange in session:
         reply = exchange.reply
         codec.update_from_request(exchange.call, wire_state)
+        # Error replies and NAKs carry no data that could be decoded.
         if not reply or (reply[:2] == b"\0\x5b" if model is None else reply[3] == NAK_TYPE):
             continue
+        # Without the header of the message, or head and end of the frame.
         data = reply[4:] if model is None else reply[4:-2]
         mask = wire_state.mask.smask
         yield (
@@ -44,12 +46,14 @@ def corpus_lines(session: Iterator[Exchange], wire_state: WireState, model: Mode
 
 def test_mutated_replies_are_decoded_or_rejected(kind: BuildKind, builds: BuildCache) -> None:
     program = builds.program(PROGRAMS / "fuzz.c", kind, extra_libraries=("-lndirect",))
+    # Without sanitizers an invalid access is seldom noticed: fewer examples are enough.
     times = MUTATED if kind.sanitized else MUTATED // 10
     done = subprocess.run([str(program), "20260", str(times)], input="".join(corpus()), capture_output=True, text=True,
                           timeout=60, check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
     counts = re.fullmatch(rf"(\d+) recorded, {times} mutated: (\d+) decoded, (\d+) rejected\n", done.stdout)
     assert counts
+    # Both outcomes must be frequent, since a decoder that rejects everything would pass.
     assert int(counts[1]) > 180
     assert int(counts[2]) > times // 10
     assert int(counts[3]) > times // 10
@@ -64,6 +68,7 @@ def mutated(rng: random.Random, reply: bytes) -> bytes:
     """Return a reply with changed bytes, count, or length."""
     data = bytearray(reply)
     for _ in range(rng.randrange(1, 4)):
+        # Bytes 2 and 3 are the count, 4 to 7 the first word: errors in them change sizes.
         at = rng.choice((2, 3, 4, 5, 6, 7, rng.randrange(len(data))))
         data[at] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
     if rng.random() < 0.3:
@@ -103,6 +108,7 @@ def test_hostile_replies_only_cause_errors(builds: BuildCache) -> None:
             continue
         failed += 1
         assert after["error"].startswith(call)
+        # A rejected reply changes nothing of the client's state except the error.
         assert after["State"][:44] == connected["State"][:44]
         assert after["Laser"] == connected["Laser"]
     assert failed > ROUNDS // 4

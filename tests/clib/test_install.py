@@ -37,6 +37,7 @@ def test_files_named_in_readme_exist() -> None:
 def test_readme_program_runs_on_installed_library(builds: BuildCache, tmp_path: Path) -> None:
     built, prefix = builds.libraries(PLAIN), tmp_path / "usr"
     options = (f"BUILD={built}", f"CFLAGS={PLAIN.optimization}", f"PREFIX={prefix}")
+    # Installed twice, in different folders: the second one must not have paths of the first one.
     run(["make", "-s", "-C", str(CLIB), "install", *options[:2], f"PREFIX={tmp_path / 'another'}"])
     run(["make", "-s", "-C", str(CLIB), "install", *options])
     (text,) = re.findall(r"```c\n(.*?)```", README, re.DOTALL)
@@ -57,4 +58,5 @@ def test_readme_program_runs_on_installed_library(builds: BuildCache, tmp_path: 
     assert server.names() == ["zr", "pr", "ws", "get_sn"]
     assert {file.name for file in (prefix / "include").iterdir()} == {"Nclient.h", "nomad.h"}
     assert os.access(prefix / "lib" / "libndirect.a", os.R_OK)
+    # `make -q` returns 0 if nothing is left to build.
     assert subprocess.run(["make", "-q", "-C", str(CLIB), *options], check=False).returncode == 0

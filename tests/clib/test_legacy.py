@@ -15,6 +15,7 @@ import pytest
 
 from tests.clib.clib_build import NARROW, PLAIN, PROGRAMS, TIMEOUT_S, BuildCache, BuildKind, run_nserver
 
+# As compilers of the 1990s: functions without prototypes, and int by default.
 OLD = ("-std=gnu89",)
 LEGACY = PROGRAMS / "legacy"
 
@@ -47,6 +48,7 @@ def test_tour_with_server(kind: BuildKind, lockstep_server: tuple[str, Path], bu
         "back: x 540 y 600 steer 900 turret 900",
     ]
     assert re.fullmatch(r"nearest \d+ \d+", lines[4])
+    # vm at -5 in/s, a full battery, and a N150 has no infrared (error 4).
     assert lines[5:] == ["robots 2", "moving -50", "battery 12.0 clock runs", "error 4"]
     assert done.stderr == "Nclient: get_ir: error 4, not on this robot\n"
 

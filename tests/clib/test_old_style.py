@@ -20,6 +20,7 @@ from tests.programs.forked import Forked
 
 OLD_STYLE = Path(__file__).parent / "old_style"
 NAMES = [name for name in (OLD_STYLE / "names.txt").read_text().splitlines() if not name.startswith("#")]
+# Programs in K&R style with all warnings off, and in ANSI style with all warnings as errors.
 KR, ANSI = ("-std=gnu89", "-w"), ("-std=c89", "-D_GNU_SOURCE", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 COMMON = (*KR, "-fcommon")  # of compilers before gcc 10: a variable defined without a value is shared
 CPLUSPLUS = ("-std=c++98", "-Wall", "-Wextra", "-Werror")
@@ -137,6 +138,7 @@ def test_prototypes_and_structures_in_cplusplus(standard: str, tmp_path: Path) -
 
 def test_own_header_takes_precedence(builds: BuildCache, tmp_path: Path) -> None:
     (tmp_path / "Nclient.h").write_text("extern long State[45];\nextern int connect_robot(long, ...), gs(void);\n")
+    # A header of the program's own, found before the one of the library.
     program, made = tmp_path / "own.c", tmp_path / "own"
     program.write_text('#include "Nclient.h"\nint main(void) { return connect_robot(1) || gs() || State[44] != 111; }')
     run(["cc", "-std=c89", str(program), "-I", str(OLD_STYLE.parents[2] / "clib" / "include"),
@@ -158,6 +160,7 @@ def test_two_programs_at_once(builds: BuildCache, width: BuildKind, n150: tuple[
     port, _ = n150
     program = build(builds, "robot.cc" if can_build_cplusplus(width) else "plain.c", width,
                     CPLUSPLUS if can_build_cplusplus(width) else KR)  # fmt: skip
+    # Three programs for each robot at the same time.
     running = [subprocess.Popen([program, "127.0.0.1", port, robot]) for robot in ("1", "2") * 3]
     assert [each.wait(TIMEOUT_S) for each in running] == [0] * 6
 
@@ -178,12 +181,14 @@ def test_loop_ends_when_server_is_gone(builds: BuildCache, width: BuildKind) -> 
         with subprocess.Popen([program], env=variables, stdout=subprocess.PIPE, text=True) as looping:
             assert looping.stdout is not None
             assert looping.stdout.readline() == "begun\n"
+            # The server ends while the program loops on its robot's state.
             server.terminate()
             server.wait(TIMEOUT_S)
             assert looping.communicate(timeout=TIMEOUT_S)[0] == "ended 111\n"
 
 
 def test_every_name_is_used() -> None:
+    # Names in comments are not used.
     texts = [re.sub(r"/\*.*?\*/|//.*?$", "", path.read_text(), flags=re.DOTALL | re.MULTILINE)
              for path in (*OLD_STYLE.glob("*.c"), *OLD_STYLE.glob("*.cc"))]  # fmt: skip
     used = set(re.findall(r"\w+", "\n".join(texts)))

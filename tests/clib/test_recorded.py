@@ -47,6 +47,7 @@ class ReplayServer(threading.Thread):
     def run(self) -> None:
         for call, wanted, reply in self._script:
             request = b""
+            # A stream may deliver a request in pieces.
             while len(request) < len(wanted):
                 try:
                     data = self._read(len(wanted) - len(request))
@@ -64,11 +65,14 @@ class ReplayServer(threading.Thread):
 
 def comparable(call: str, request: bytes) -> bytes:
     """Return a TCP request without its undefined parts: process id and unused words."""
+    # Types 0x66 and 0x67, connect and disconnect: the last word is the process number.
     if request[:2] in (b"\0\x66", b"\0\x67"):
         return request[:-4]
+    # A line uses five of the eight words.
     if call == "motion_check" and request[4:8] == bytes(4):
         return request[:-12]
     if call.startswith("tk ") and request[0] == 0:
+        # The last word of a text holds its end and NUL in the low bytes; the rest of it is undefined.
         used = (len(call) - len("tk ")) % 4 + 1
         return request[:-4] + request[-used:]
     return request
@@ -92,6 +96,7 @@ def check(case: dict[str, Any], found: dict[str, Any]) -> None:
             case _:
                 value = found[name]
         if isinstance(wanted, list):
+            # Arrays of C are longer than what was recorded.
             value = value[: len(wanted)]
         assert value == wanted, (case["call"], name)
 
@@ -172,6 +177,7 @@ def test_64_bit_errors_of_old_library_are_fixed(kind: BuildKind, builds: BuildCa
         *found, _ = run_calls([str(program), port], "connect_robot 1\nvm 100 -50 0\ngs\ndisconnect_robot 1\n")
     assert server.mismatches == []
     for after, old in zip(found, LP64["decoded"], strict=True):
+        # The recorded 64-bit client had 2^32 - 200 here; the new library must have -200, and equal values otherwise.
         assert old["State"][35] == 2**32 - 200
         assert after["State"] == [*old["State"][:35], -200, *old["State"][36:]]
         assert (after["return"], after["time"]) == (old["return"], old["time"])
@@ -183,6 +189,7 @@ def test_recorded_serial_session(session: str, kind: BuildKind, builds: BuildCac
     model = model_of(session)
     program = str(builds.program(PROGRAMS / "replay.c", kind, "ndirect"))
     steps = [(x.call.name, x.request, x.reply) for x in exchanges(cases, model)]
+    # Only a N200 on TCP sends its mask first.
     if session.endswith("_tcp"):
         hello = build_handshake(Handshake(EVERYTHING, 51)) if model.name == "n200" else b""
         with on_socket(steps, hello) as (port, server):

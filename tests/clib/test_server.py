@@ -25,6 +25,7 @@ def client(builds: BuildCache) -> str:
 
 def calls_with_server(client: str, server: ScriptedServer, request_count: int, *calls: str) -> list[dict[str, Any]]:
     """Connect, make the calls, and return the state after each; the server receives `request_count` of the calls."""
+    # connect_robot and ct, and then the calls.
     with on_socket(by_script(server, 2 + request_count)) as port:
         *found, _ = run_calls([client, str(port)], "\n".join(("connect_robot 1", *calls, "")))
     assert found[0]["return"] == 7019
@@ -127,6 +128,7 @@ def test_lost_connection_prints_two_lines(client: str) -> None:
     assert last["stderr"] == f"Nclient: {closed}\nNclient: gs: {NOT_CONNECTED}\n"
 
 
+# Types 91 and 82 without words; a state of one word; a state of 65535 words.
 @pytest.mark.parametrize("reply", ["005b0000", "00500001000000ff", "0050ffff", "00520000"])
 def test_invalid_reply_closes_connection(client: str, reply: str) -> None:
     mismatches, after = calls_with_server(client, ScriptedServer({"gs": bytes.fromhex(reply)}), 1, "gs", "st")
@@ -138,6 +140,7 @@ def test_reply_arriving_byte_by_byte(client: str) -> None:
     case = TCP["session_1"][0]
 
     def dribble(connection: socket.socket) -> None:
+        # Without TCP_NODELAY the kernel would join the bytes.
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for exchange in case["exchanges"]:
             connection.recv(4096)
@@ -150,6 +153,7 @@ def test_reply_arriving_byte_by_byte(client: str) -> None:
 
 
 def test_lists_are_limited_to_array_sizes(client: str) -> None:
+    # 300 lines of four numbers: more than the 964 numbers of the array after the count.
     lines = (300, *range(1200))
     server = ScriptedServer({
         "get_rpx": simple(12, *range(36)), "get_sg": Reply("laser", laser=lines),
@@ -157,6 +161,7 @@ def test_lists_are_limited_to_array_sizes(client: str) -> None:
     })  # fmt: skip
     robots, segments, moved = calls_with_server(
         client, server, 3, "get_rpx", "get_sg", "move_obstacle 3 0 0 50 0 0 50 10 -20")
+    # The C arrays hold 10 robots, and 241 lines (964 / 4).
     assert robots["obs"] == [10, *range(30)]
     assert segments["Laser"] == [241, *range(6)]
     assert (moved["return"], moved["obs"][0]) == (0, 3)
@@ -165,6 +170,7 @@ def test_lists_are_limited_to_array_sizes(client: str) -> None:
 
 def test_long_is_clamped_to_word(client: str) -> None:
     server = ScriptedServer({"move_obstacle": simple(1, 5, 6)})
+    # A long of 64 bits is clamped to the word of 32 bits.
     (found,) = calls_with_server(client, server, 1, f"move_obstacle 1 7 8 {1 << 40} {-(1 << 40)}")
     assert server.last() == Call("move_obstacle", (1, 7, 8, 2**31 - 1, -(2**31)))
     assert (found["return"], found["obs"][:3]) == (1, [1, 5, 6])
@@ -180,6 +186,7 @@ def test_simulator_and_scout_calls(client: str) -> None:
 
 
 def test_held_robot_is_error_7_and_printed_once(client: str) -> None:
+    # Error 7: a person holds the robot, which the client reports once for all calls during the hold.
     server = ScriptedServer({"vm": error(7), "pr": error(7), "held_by": simple(*text_values("viewer 1"))})
     script = "connect_robot 1\nvm 1 2 3\nvm 1 2 3\npr 1 2 3\ngs\nheld_by\n"
     with on_socket(by_script(server, 7)) as port:
@@ -217,6 +224,7 @@ def test_robot_number_in_address_must_match(
         refused, running, _ = run_calls([client], f"{call} 1\nserver_is_running\n")
         listener.settimeout(0)
         with pytest.raises(BlockingIOError):
+            # The number is checked before the connection is made.
             listener.accept()
     assert (refused["return"], running["return"]) == (0, 0)
     assert refused["error"] == ("NOMAD_ROBOT names robot 2, the program connects to robot 1: use the same number, or "
@@ -277,6 +285,7 @@ int main(int count, char **words)
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
+        # As an int16 the port plus 65536 would be the listening port: it must not be accepted.
         wrapped = port + 65536
         why = f"the port must be 1 to 65535, not {wrapped}\n"
         assert refused(f"127.0.0.1:{wrapped}") == 2 * f"Nclient: 127.0.0.1:{wrapped}: {why}"
@@ -288,6 +297,7 @@ int main(int count, char **words)
             assert refused(f"127.0.0.1:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
             assert refused(f"[::1]:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
         assert refused("127.0.0.1", "0").endswith("not 0\n")
+        # -58517 + 65536 = 7019.
         assert refused("127.0.0.1", "-58517").endswith("not -58517\n")
 
 
@@ -306,6 +316,7 @@ SIMPLE_CALLS = ["tk hello", "real_robot", "simulated_robot", "place_robot 1 2 3 
 
 
 @pytest.mark.parametrize("call", SIMPLE_CALLS)
+# Calls with a simple reply return 1 and leave State[44] alone, as in the old library.
 def test_refused_call_without_values_succeeds(client: str, call: str) -> None:
     server = ScriptedServer({call.split()[0]: error(5), "vm": error(2)})
     _, refused = calls_with_server(client, server, 2, "vm 1 2 3", call)
@@ -313,6 +324,7 @@ def test_refused_call_without_values_succeeds(client: str, call: str) -> None:
     assert "error 5" in refused["error"]
 
 
+# 111 is ECONNREFUSED on Linux, as in the old library.
 def test_state_44_is_111_without_server(client: str) -> None:
     found, *_ = run_calls([client, "1"], "connect_robot 1\n")
     assert (found["return"], found["State"][44]) == (0, 111)
@@ -343,6 +355,7 @@ def in_turn(client: str, servers: list[tuple[ScriptedServer, int]], *calls: str)
 
         def serve(connection: socket.socket, server: ScriptedServer, count: int) -> None:
             with connection:
+                # The connection stays open until the client closes it.
                 by_script(server, count)(connection)
                 connection.recv(1)
 
@@ -378,6 +391,7 @@ def test_edges(builds: BuildCache) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert sum(len(server.calls) for server in servers) == 11
     checks = [call for call in servers[1].calls if call.name == "motion_check"]
+    # Thousandths, truncated toward zero to hundredths, and clamped to 32 bits: 2147483647 hundredths.
     assert checks[0].args == (0, -12340, 290, 21474836470, -21474836470)
     assert checks[1].args[:5] == (1, -21474836470, 21474836470, 1570, -3140)
 
@@ -385,6 +399,7 @@ def test_edges(builds: BuildCache) -> None:
 @pytest.mark.usefixtures("short_timeout")
 def test_connection_not_accepted_times_out(client: str) -> None:
     with socket.socket() as full, contextlib.ExitStack() as waiting:
+        # A queue of one connection: later ones are neither accepted nor rejected.
         full.bind(("127.0.0.1", 0))
         full.listen(0)
         for _ in range(3):  # further connections are neither accepted nor rejected

@@ -27,6 +27,7 @@ TIMEOUT_S = 30.0
 
 def is_moving(observer: Robot) -> bool:
     """Return True if the true position changes within 0.1 s; the observing client does not reset the time-out."""
+    # The simulation runs in real time: 0.1 s of it are awaited.
     before = observer.truth()
     wait_until(lambda: observer.truth().time_s > before.time_s + 0.1)
     return observer.truth().x_in != before.x_in
@@ -42,12 +43,15 @@ def test_robot_stops_if_program_stops_sending(
         run_nserver("thesis_room", "--robot", "n150", "--serial-link", str(link)) as port,
         connect(f"nserver://127.0.0.1:{port}/1?tm_s=0") as observer,
     ):
+        # The line stays open when the program ends, as a cable does: no end of a connection stops the robot.
         cable = os.open(link, os.O_RDWR | os.O_NOCTTY)
         with subprocess.Popen([str(program)], stdout=subprocess.PIPE) as driving:
             assert driving.stdout is not None
             assert driving.stdout.readline() == b"driving\n"
+            # Longer than the time-out of 2 s.
             time.sleep(2.5)
             assert is_moving(observer), "the requests of the program reset the time-out"
+            # Killed, or stopped without an end: no request is sent any more.
             driving.send_signal(end)
             wait_until(lambda: not is_moving(observer))
             driving.kill()
@@ -55,6 +59,7 @@ def test_robot_stops_if_program_stops_sending(
         os.close(cable)
 
 
+# A line from the environment gets a time-out; one from the program's arguments has that of the old library, none.
 @pytest.mark.parametrize(("option", "expected"), [
     ("", [Call("conf_tm", (5,))]), ("&tm_s=9", [Call("conf_tm", (9,))]), ("&tm_s=0", []),
 ])  # fmt: skip

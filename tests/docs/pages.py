@@ -19,6 +19,7 @@ DOCS = ROOT / "docs"
 def code_blocks(page: str, language: str) -> list[str]:
     """Return the code blocks of a page in a language, without the indentation of those in lists."""
     text = (DOCS / page).read_text(encoding="utf-8")
+    # The closing fence ends a block also where the block stands indented in a list.
     found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
     return [re.sub(rf"^{indent}", "", block, flags=re.MULTILINE) for indent, block in found]
 
@@ -40,6 +41,7 @@ def run(command: str, folder: Path, environment: Mapping[str, str] | None = None
     tests/nclient/common/test_exit_codes.py start the installed programs.
     """
     environment = environment or environment_with_venv()
+    # punctuation_chars splits off `;`, `|` and `>`, which only a shell understands, as it does `$`, `*` and `~`.
     lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
     words = list(lexer)

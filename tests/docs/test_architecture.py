@@ -24,6 +24,7 @@ FOLDERS = (
 PATH = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[^`\s]*)`")
 GENERATED = {"fuzz/found/"}
 """Exists after a program has run."""
+# Rows of the table of questions: the first cell ends with a question mark.
 QUESTIONS = [row for row in (DOCS / "architecture.md").read_text().splitlines() if re.match(r"\| .*\? \|", row)]
 
 
@@ -33,11 +34,13 @@ def cells(question: str) -> list[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_paths_of_a_page_exist(page: Path) -> None:
+    # A test named by its id is looked for by its file.
     paths = {path.partition("::")[0] for path in PATH.findall(page.read_text(encoding="utf-8"))} - GENERATED
     assert [path for path in paths if not [*ROOT.glob(path.rstrip("/"))]] == []
 
 
 def test_pages_name_paths() -> None:
+    # A pattern that matches nothing would make the tests above pass.
     assert sum(len(PATH.findall(page.read_text(encoding="utf-8"))) for page in PAGES) > 50
     assert len(QUESTIONS) >= 9
 
@@ -47,6 +50,7 @@ def test_names_of_a_question_exist(question: str) -> None:
     _, where, _ = cells(question)
     module, found = None, 0
     for name in re.findall(r"`([^`]+)`", where):
+        # A name behind a file is an attribute of that module, possibly of a class in it.
         if name.endswith(".py"):
             assert (ROOT / name).is_file()
             module = import_module(name.removesuffix(".py").replace("/", "."))

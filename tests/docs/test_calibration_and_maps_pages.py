@@ -17,6 +17,7 @@ pytestmark = pytest.mark.long
 @pytest.mark.parametrize("page", ["calibration.md", "maps.md", "mapping.md"])
 def test_every_command_succeeds(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    # The commands of a page write their results below out/, and later ones read them.
     Path("out").mkdir()
     commands = [shlex.split(line)[1:] for line in command_lines(page) if line.startswith("nomad ")]
     assert len(commands) >= 2

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.long
 
 def test_class_of_the_page(tmp_path: Path) -> None:
     page = (DOCS / "class.md").read_text(encoding="utf-8")
+    # The class file of the page: its first line names the column.
     (names,) = re.findall(r"```text\n(name\n.*?)```", page, re.DOTALL)
     (tmp_path / "students.csv").write_text(names)
     (command,) = command_lines("class.md")
@@ -28,12 +29,14 @@ def test_class_of_the_page(tmp_path: Path) -> None:
     with subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
+            # One line for each listener: the robots' port, and the page of the window.
             assert [server.stdout.readline().split()[1] for _ in range(2)] == ["nserver", "viewer"]
             students = list(csv.DictReader((tmp_path / "students.links.csv").read_text().splitlines()))
             assert [student["name"] for student in students] == names.split()[1:]
             for column in ("name", "robot", "page", "program"):
                 assert f"`{column}`" in page
                 assert students[1][column]
+            # The second student's address, with the password that belongs to it.
             client = [sys.executable, str(ROOT / "examples" / "class_client.py"), students[1]["program"], "0.2"]
             done = subprocess.run(client, capture_output=True, text=True, env=os.environ, timeout=60, check=True)
             assert "nearest thing ahead" in done.stdout

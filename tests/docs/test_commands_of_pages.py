@@ -73,6 +73,7 @@ def lines(path: Path) -> list[str]:
 
 def test_every_page_with_commands_has_a_test() -> None:
     typed = {path.relative_to(DOCS).as_posix() for path in PAGES if blocks(path.read_text(encoding="utf-8"))}
+    # A page with a new command fails here until a test is entered for it.
     assert typed - set(HOURS) == set(TESTS_OF_PAGES)
     assert all((ROOT / "tests" / test).is_file() for test in TESTS_OF_PAGES.values())
 
@@ -81,6 +82,7 @@ def test_commands_are_found_in_any_block() -> None:
     for typed in ("$ scripts/fuzz --list", "nomad state sim:", "NOMAD_ROBOT=sim: ./a\nnserver --version"):
         for kind in ("console", "", "text"):
             assert blocks(f"```{kind}\n{typed}\n```\n") == [f"{typed}\n"]
+    # A command of another program, and a word that begins with the name of one.
     assert blocks("```console\n$ ssh lab\n```\n") == blocks("```text\nnomads\n```\n") == []
 
 
@@ -90,6 +92,7 @@ def test_commands_are_found_in_any_block() -> None:
 def test_long_commands_have_valid_arguments(command: str) -> None:
     if command.startswith(BENCHMARK):
         _, script, *words = shlex.split(command)
+        # Arguments behind -- are those of the command that the benchmark runs.
         cut = words.index("--") if "--" in words else len(words)
         assert runpy.run_path(str(ROOT / script))["options_parser"]().parse_args(words[:cut])
         if words[cut:]:

@@ -16,6 +16,7 @@ ARM = ("arm_zr", "arm_ws", "arm_mv")
 
 def cells(name: str) -> dict[str, str]:
     """Return the cells of a command by model."""
+    # Cells 4 to 6 of a row are those of the three models.
     found = [cell.strip() for cell in ROWS[name].split("|")]
     return dict(zip(MODEL_NAMES, found[4:7], strict=True))
 
@@ -23,6 +24,7 @@ def cells(name: str) -> dict[str, str]:
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)
 def test_row_is_what_the_emulator_does(row: Command) -> None:
     found = cells(row.name)
+    # The oracle is the emulator: each command is executed on each model.
     assert found == {model: support(row, model).value for model in MODEL_NAMES}, "run scripts/reference-pages"
     assert Support.UNEXPECTED not in found.values()
 
@@ -40,6 +42,7 @@ def test_commands_that_need_permission(name: str) -> None:
     ("names", "models"),
     [
         (ARM, {"n200"}),
+        # Commands that need a real robot or the arm have no "yes".
         (("real_robot", "special_request"), set()),
         (("vm", "pr", "pa", "mv", "gs", "get_sn", "get_bp", "add_obstacle", "draw_arc", "zr"),
          {"n150", "n200", "scout"}),

@@ -11,6 +11,7 @@ from tests.docs.pages import DOCS, ROOT, command_lines, run
 
 
 def test_commands_of_the_course_page() -> None:
+    # The same command twice: as a table, and with --json.
     table, as_json = command_lines("course.md")
     assert "5 of 5 points" in run(table, ROOT)
     found = json.loads(run(as_json, ROOT))
@@ -26,6 +27,7 @@ def test_course_page_and_site_have_all_notebooks() -> None:
 
 def test_command_of_the_challenge_page() -> None:
     (command,) = command_lines("challenge.md")
+    # The score of the shown run begins with 9: between 90 and 99, with a deterministic simulation.
     line, summary = run(command, ROOT).splitlines()
     assert line.startswith("run 1: score  9")
     (result,) = json.loads(summary)["runs"]

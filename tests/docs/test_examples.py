@@ -17,6 +17,7 @@ EXAMPLES = ROOT / "examples"
 PRINTS = {
     "class_client.py": r"nearest thing ahead \d+ in",
     "compare_filters.py": r"ekf +RMSE 0\.\d.*\niekf .*\nukf ",
+    # Noise has a fixed seed or a limited size, so that each pattern fixes the digits that are certain.
     "corridor_challenge.py": r"the filter says (79|80)\.\d, (79|80)\.\d in",
     "first.py": r"encoders: 2[34]\.\d.*\ntruth: +2[345]\.\d",
     "gym_policy.py": r"goal reached in \d+ of 20 episodes\nsim:.*: (reached|not reached) after \d+\.\d s",
@@ -32,6 +33,7 @@ PRINTS = {
 
 def test_there_are_ten_and_each_is_run() -> None:
     files = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".c")}
+    # A new example fails here until its output is entered above.
     assert files == {*PRINTS, *C_PRINTS, "own_filter.py"}
     assert len(files) >= 10
 
@@ -51,6 +53,7 @@ def test_example_takes_an_address(
     command = next(line for line in command_lines("examples.md") if "wander.py" in line)
     _, _, address = shlex.split(command)
     monkeypatch.setattr(sys, "argv", ["wander.py", address])
+    # __main__: the guarded part of the program is executed as well.
     runpy.run_path(str(EXAMPLES / "wander.py"), run_name="__main__")
     assert re.search(PRINTS["wander.py"], capsys.readouterr().out)
 

@@ -24,6 +24,7 @@ def test_every_call_of_c_and_capi_has_one_row() -> None:
     declared = set(re.findall(r"^extern (?:int|float) (?!nomad_)(\w+)\(", HEADER, re.MULTILINE)) | {"RIGHT", "LEFT"}
     mirrored = {name for name in capi.__all__ if callable(getattr(capi, name))} - {"last_error"}
     assert sorted(NAMED) == sorted(mirrored)
+    # Functions without a row are those that only C programs need.
     assert declared - set(NAMED) <= ONLY_C
     assert len(set(NAMED)) == len(NAMED)
     assert set(examples()) == set(NAMED) - set(BY_NAME)
@@ -31,6 +32,7 @@ def test_every_call_of_c_and_capi_has_one_row() -> None:
 
 @pytest.mark.parametrize("name", examples())
 def test_example_is_valid_python(name: str) -> None:
+    # Wheel commands exist on a Scout only, lasers on a N200 only.
     model = "scout" if re.search("scout|RIGHT|LEFT", name) else "n200"
     address = f"sim:thesis_room?robot={model}"
     with connect(address) as robot:
@@ -45,6 +47,7 @@ def test_example_is_valid_python(name: str) -> None:
             value.disconnect()
 
 
+# The program in the style of C prints tenths, the other one inches.
 @pytest.mark.parametrize(("number", "output"), [(0, "240 0\n"), (1, "24.0 0.0\n")])
 def test_programs_reach_the_same_position(
     number: int, output: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

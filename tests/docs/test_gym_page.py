@@ -33,6 +33,7 @@ def test_observations_of_the_page_are_those_of_the_spaces() -> None:
     page = (DOCS / PAGE).read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
     keys = {
+        # All keys of the three environments; the page may have further rows.
         key for name in ("GoTo", "Explore", "Localize")
         for key in gymnasium.make(f"Nomad/{name}-v0").observation_space.spaces  # type: ignore[attr-defined]
     }

@@ -19,6 +19,7 @@ PROGRAMS = ("nclient/common/arguments.py", "scripts/venv")
 """Files that make an install line of variables."""
 SUFFIXES = (".md", ".py", ".ipynb", ".toml", ".sh", "")
 INSTALL = re.compile(r"pip install (?P<rest>[^`\n\"]+)")
+# A clone is installed as `.`, or as `'.[extra]'` in quotes, which a shell would otherwise expand.
 FROM_CLONE = re.compile(r"(?:-e )?(?:\.(?![\w\[])|'\.\[(?P<extras>[\w,]+)\]')")
 
 
@@ -46,6 +47,7 @@ def test_lines_are_found() -> None:
 def test_install_line_works_in_a_clone(file: str, rest: str) -> None:
     found = FROM_CLONE.match(rest)
     assert found, f"{file}: pip install {rest}: the package is in no registry: pip install -e '.[EXTRA]'"
+    # EXTRA stands for any of them.
     assert set((found["extras"] or "").split(",")) - {"", "EXTRA"} <= set(EXTRAS)
 
 

@@ -33,13 +33,16 @@ def test_commands_about_wireshark(tmp_path: Path) -> None:
     assert run(written, tmp_path) == ""
     shown = run(all_messages, tmp_path)
     assert "> vm 100 -50 0" in shown
+    # The second packet, 1 ms after the first one, with the first argument of vm.
     assert run(drives, tmp_path).split() == ["0.001000000", "100"]
+    # Sonar 0 and the x of the only state with a reading below the page's limit.
     assert run(near, tmp_path).split() == ["12", "-5"]
 
 
 def test_commands_about_recordings(tmp_path: Path) -> None:
     lines = command_lines(PAGE)
     first = next(k for k, line in enumerate(lines) if "record=run.log" in line)
+    # Ten commands in order: each reads the file of an earlier one.
     for line in lines[first : first + 10]:
         shown = run(line, tmp_path)
     assert "sonar" in shown
@@ -63,6 +66,7 @@ def test_program_about_rosbridge(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_command_about_ros_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("cyclonedds", reason="Cyclone DDS has no wheel for this system")
+    # Domains of DDS are 0 to 232: one for each process, so that parallel runs do not receive each other's messages.
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 231))
     (line,) = [line for line in command_lines(PAGE) if "cyclonedds" in line]
     server = Forked("nserver", "thesis_room", "--port", "0", "--ros2")

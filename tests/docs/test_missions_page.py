@@ -19,6 +19,7 @@ PAGE = "missions.md"
 @pytest.mark.parametrize("command", command_lines(PAGE))
 def test_command_runs(command: str, tmp_path: Path) -> None:
     line = command.replace("out/", f"{tmp_path}/out/")
+    # The pages write below the clone: the test writes to its own folder.
     output = run(f"{line} --out {tmp_path}" if "localization.experiments" in line else line, ROOT)
     if "--json" in command:
         assert json.loads(output)["ending"] == "done"

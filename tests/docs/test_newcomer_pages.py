@@ -72,12 +72,14 @@ class _Server:
 def test_commands_of_the_worlds_page_run() -> None:
     listing, check, serve, *controls = command_lines("worlds.md")
     assert read_options(nserver_parser(), shlex.split(serve, comments=True)[1:]).world == "two_rooms"
+    # The commands are sent to the control interface without a daemon process.
     emulator = Emulator(Simulation(load_world("two_rooms")))
     for line in controls:
         _, _, name, *argument = shlex.split(line, comments=True)
         words = f"{name} {argument.pop()}" if name == "world" else name
         request = json.dumps({"command": words, "argument": "".join(argument) or None}).encode()
         assert json.loads(answer_line(cast(Daemon, _Server(emulator)), request))["ok"]
+    # The result of all commands of the page, in their order: two walkers, and a closed door.
     assert (len(emulator.simulation.walkers), emulator.simulation.world.doors[0].is_open) == (2, False)
     assert "several_walls" in run(listing, ROOT)
     assert "no problems" in run(check, ROOT)
@@ -95,6 +97,7 @@ def test_gallery_shows_every_shipped_world() -> None:
 
 
 def test_first_screen_shows_a_small_moving_picture() -> None:
+    # About the first screen of the page on a code host.
     first_screen = (ROOT / "README.md").read_text(encoding="utf-8")[:1200]
     (picture,) = re.findall(r"!\[[^]]+\]\((\S+\.gif)\)", first_screen)
     assert (ROOT / picture).stat().st_size < 500_000

@@ -35,6 +35,7 @@ def daemon(command: str, *more: str) -> Iterator[str]:
     words = [*shlex.split(command)[1:], "--port", "0", *more]
     with Forked("nserver", *words) as program:
         try:
+            # One more line for each serial link.
             port = program.stdout.readline().strip().rpartition(":")[2]
             for _ in range(words.count("--serial-link")):
                 assert program.stdout.readline().startswith("listening serial")
@@ -59,6 +60,7 @@ def test_program_of_getting_started(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(program, "start.md", "exec"), {})
     found = re.fullmatch(r"(\d+) in before the wall, (\d+) in from the start\n", capsys.readouterr().out)
     assert found is not None
+    # The program stops in front of the wall of the 290 cm room.
     assert 10 <= int(found[1]) <= 21
     assert int(found[2]) > 10
 
@@ -72,6 +74,7 @@ def test_real_robot(tmp_path: Path) -> None:
     doctor, stop, shell, localize = outputs
     assert "FAIL" not in doctor
     assert stop.startswith("stands still")
+    # 6 in were driven, with the noise of the measured setup.
     assert re.search(r"x (5\.9|6\.\d) in", shell)
     assert re.search(r"2 of 2 waypoints reached", localize)
 
@@ -96,10 +99,14 @@ def test_sensors_and_noise(tmp_path: Path) -> None:
     everything, ideal, measured, at_4_ms, at_60_ms, laser = [run(line, tmp_path) for line in commands("sensors.md")]
     for part in ("infrared", "bumpers", "compass", "battery", "clock"):
         assert re.search(rf"^{part} ", everything, re.MULTILINE)
+    # 1. Without noise all sonars have an echo.
     assert max(sonars(ideal)) < 255
+    # 2. With measured noise those that point squarely at a wall have one, and those at 45 degrees may have one.
     with_echo = {number for number, reading in enumerate(sonars(measured)) if reading < 255}
     assert {0, 4, 8, 12} <= with_echo <= {0, 2, 4, 6, 8, 10, 12, 14}
+    # 3. At 4 ms between sonars echoes of one sonar reach the next one: the readings are far too small.
     assert sonars(at_4_ms)[:2] == [12, 12]
+    # 4. At 60 ms they do not.
     assert all(91 <= reading <= 96 for reading in sonars(at_60_ms)[:2])
     assert re.search(r"laser +2 readings, in: \([^,)]+(, [^,)]+){3}\)", laser)
 
@@ -120,6 +127,7 @@ def test_localization(tmp_path: Path) -> None:
     assert re.search(r"1 of 1 waypoints reached", found)
     assert re.search(r"DEGRADED: .*slipped", overconfident)
     assert "DEGRADED" not in rays
+    # NEES of a consistent filter is 3 on average, the dimension of the pose.
     assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]
 
 
@@ -130,6 +138,7 @@ def test_c_program(tmp_path: Path) -> None:
     make, compiled, started = commands("c-programs.md")
     run(make, tmp_path)
     run(compiled, tmp_path)
+    # The program needs a server, which the text names.
     (start,) = re.findall(r"^With `(nserver [^`]+)` running:$", (DOCS / "c-programs.md").read_text(), re.MULTILINE)
     with daemon(start) as port:
         assert run(started.replace("7019", port), tmp_path) == "at 240, 0 tenths of an inch\n"

@@ -28,6 +28,7 @@ def test_every_command_has_a_row() -> None:
 
 
 @pytest.mark.parametrize(("section", "name", "wanted"), [
+    # Rows in which the types, the layouts and the models were looked up by hand.
     (TCP, "vm", ["12", "translation, steering, turret", "a *state*", "80"]),
     (TCP, "disconnect_robot", ["103", "robot_id, pid", "none", "—"]),
     (TCP, "conf_sn", ["23", "rate, order[16]", "a *state*", "80"]),
@@ -49,5 +50,6 @@ def test_commands_of_the_page(capsys: pytest.CaptureFixture[str]) -> None:
     for command in block.splitlines():
         assert main.main(shlex.split(command)[1:]) == 0
     assert capsys.readouterr().out.split() == [
+        # vm 100 -50 0 over TCP and on the line: the frames of the page's examples.
         "000c0003" "00000064" "ffffffce" "00000000", "01080005640032800000245c",
     ]

@@ -26,6 +26,7 @@ def test_the_example_is_a_model(folder: Path) -> None:
     ring = load_bodies(folder / "my_ring.toml")["eight"].ring
     assert ring == load_models(folder / "my_ring.toml")["eight"].body.ring
     assert ring.firing == ((0, 7), (2, 5), (1, 6), (3,), (4,))
+    # The page has centimetres, the model inches.
     assert [round(length * 2.54, 6) for length in (ring.min_range_in, ring.max_range_in, ring.no_echo_in)] == [
         15.0, 500.0, 511.0
     ]  # fmt: skip

@@ -45,6 +45,7 @@ def test_systemd_verifies_unit_and_override(tmp_path: Path) -> None:
     program, place = tmp_path / "nserver", tmp_path / "nserver.service"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
+    # systemd-analyze checks that the program exists, which is not installed here.
     place.write_text(UNIT.read_text().replace(f"{ENVIRONMENT}nserver", str(program)))
     (tmp_path / "nserver.service.d").mkdir()
     override = tmp_path / "nserver.service.d/override.conf"
@@ -52,6 +53,7 @@ def test_systemd_verifies_unit_and_override(tmp_path: Path) -> None:
         override.write_text(added)
         done = subprocess.run(["systemd-analyze", "verify", str(place)], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
+    # A control: without the check of a wrong value, "no errors" would prove nothing.
     override.write_text("[Service]\nPrivateDevices=perhaps\n")
     done = subprocess.run(["systemd-analyze", "verify", str(place)], capture_output=True, text=True, check=False)
     assert "perhaps" in done.stderr, "systemd reports errors"
@@ -60,6 +62,7 @@ def test_systemd_verifies_unit_and_override(tmp_path: Path) -> None:
 def test_daemon_of_the_unit_serves_control_and_viewer(
     tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    # Short: the path of a Unix socket has at most about a hundred bytes.
     folder = tmp_path_factory.mktemp("s")
     (command,) = re.findall(r"^ExecStart=(.*)$", UNIT.read_text(), re.MULTILINE)
     for name in ("${STATE_DIRECTORY}", "${RUNTIME_DIRECTORY}"):
@@ -70,9 +73,11 @@ def test_daemon_of_the_unit_serves_control_and_viewer(
     assert words[words.index("--control") + 1] == socket
     with Forked("nserver", *words[1:], "--port", "0", "--viewer", "0") as daemon:
         try:
+            # One line each for the port, the control socket and the window.
             places = dict(daemon.stdout.readline().split()[1:] for _ in range(3))
             assert main(["ctl", "--control", socket, "status"]) == 0
             assert "robot 2: n150" in capsys.readouterr().out
+            # The first token of the file allows control; the printed address contains it.
             act = (folder / "tokens").read_text().splitlines()[0]
             page = f"{places['viewer'].partition('?')[0]}?token={act}"
             assert page == places["viewer"]

@@ -15,6 +15,7 @@ PAGE = "shell.md"
 
 def test_session(capsys: pytest.CaptureFixture[str]) -> None:
     lines = code_blocks(PAGE, "")[0].splitlines()[2:]
+    # The page shows the prompt, the typed lines, and what is printed below each of them.
     typed = [line.removeprefix("n150> ") for line in lines if line.startswith("n150> ")]
     *valid, misspelt = typed
     assert main.main(["shell", "sim:thesis_room", "--command", "; ".join(valid)]) == 0
@@ -31,6 +32,7 @@ def test_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script.write_text(text)
     assert main.main(["shell", "sim:thesis_room", "--script", str(script)]) == 0
     pose = capsys.readouterr().out.splitlines()[-1]
+    # Four sides and three turns of 90 degrees: back at the start, and turned by 270.
     assert re.fullmatch(r"pose +x 0\.0 in  y -?0\.0 in  steering 270\.0 deg  turret 0\.0 deg", pose)
 
 

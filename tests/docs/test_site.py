@@ -58,6 +58,7 @@ def test_sidebar_lists_all_pages_by_their_titles(site: Path) -> None:
     pages = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in DOCS.rglob("decisions/0*.md")}
     assert len(pages) > 40
     assert pages <= set(links)
+    # Links to sections of pages do not belong in the sidebar.
     assert [link for link in links if re.search(r"#.", link)] == []
 
 
@@ -68,6 +69,7 @@ def test_notebook_is_executed_and_filter_is_consistent(site: Path) -> None:
     assert re.search(r"2 of 2 waypoints reached", text)
     pattern = r"mate is ([\d.]+) in off .*?alone is ([\d.]+) in off.*?mean NEES ([\d.]+);"
     (numbers,) = re.findall(pattern, text, re.DOTALL)
+    # 0.6 in separates the estimate from odometry alone; the mean NEES of a consistent filter is 3.
     estimate_in, odometry_in, nees = map(float, numbers)
     assert estimate_in < 0.6 < odometry_in
     assert 1.0 < nees < 6.0
@@ -88,6 +90,7 @@ def test_formulas_are_typeset_without_network(site: Path) -> None:
 
 
 def test_nothing_is_loaded_from_other_hosts(site: Path) -> None:
+    # A page without any style would pass the next assertion.
     fetched = {address for page in site.rglob("*.html") for address in Fetched(page).addresses}
     assert any(".css" in address for address in fetched)
     assert [address for address in fetched if re.match(r"(\w+:)?//", address)] == []
@@ -95,6 +98,7 @@ def test_nothing_is_loaded_from_other_hosts(site: Path) -> None:
     assert re.findall(r"""(?:@import\s+|url\()\s*["']?(?:\w+:)?//[^)\s]*""", styles) == []
 
 
+# A control for --fail-on-warning.
 def test_a_dead_link_is_an_error(tmp_path: Path) -> None:
     source = tmp_path / "docs"
     source.mkdir()

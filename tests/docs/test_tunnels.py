@@ -22,6 +22,7 @@ from tests.docs.pages import code_blocks
 
 PAGE = "security.md"
 TIMEOUT_S = 60.0
+# Type of a TLS record that reports an error.
 TLS_ALERT = b"\x15"
 STUNNEL = shutil.which("stunnel4") or "stunnel"
 
@@ -72,6 +73,7 @@ def ports(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, int, 
         nserver = stack.enter_context(running(*daemon, cwd=folder))
         assert nserver.stdout is not None
         inner, outer, near = int(nserver.stdout.readline().rpartition(":")[2]), free_port(), free_port()
+        # Only ports are replaced: the rest of both files is as on the page.
         lab = ends["lab.conf"].replace("0.0.0.0:7020", f"127.0.0.1:{outer}").replace(":7019", f":{inner}")
         me = ends["me.conf"].replace("lab.example:7020", f"127.0.0.1:{outer}").replace(":7019", f":{near}")
         assert "702" not in lab.replace(str(outer), "")
@@ -96,19 +98,23 @@ def test_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> None
 
 def test_client_without_trusted_key_gets_no_reply(ports: tuple[int, int, Path]) -> None:
     outer, _, folder = ports
+    # A client that trusts the lab's certificate, and has none of its own.
     keyless = ssl.create_default_context(cafile=str(folder / "lab.pem"))
     keyless.check_hostname = False
     trusted = ssl.create_default_context(cafile=str(folder / "lab.pem"))
     trusted.check_hostname = False
     trusted.load_cert_chain(folder / "me.pem", folder / "me.key")
+    # Type 0x52 = 82: the reply to CONNECT.
     assert reply_to_connect(outer, trusted)[:2] == b"\0\x52", "with the key: the reply to CONNECT"
     assert reply_to_connect(outer, keyless) == b""
+    # Without TLS: an alert record, or the end of the connection.
     assert reply_to_connect(outer, None)[:1] in (b"", TLS_ALERT)
 
 
 def test_ssh_command_forwards_the_port() -> None:
     (line,) = [block for block in code_blocks(PAGE, "console") if "ssh" in block]
     _, ssh, *words = line.split()
+    # -G prints the options that ssh would use, and connects to nothing.
     config = subprocess.run([ssh, "-G", *words], capture_output=True, text=True, check=True).stdout
     assert "localforward 7019 [127.0.0.1]:7019" in config
     assert "\nhostname lab\n" in config

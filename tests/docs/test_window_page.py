@@ -44,6 +44,7 @@ def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
         try:
             ports = dict(daemon.stdout.readline().split()[1:] for _ in range(2 + ("--control" in start)))
             port, viewer = ports["nserver"].rpartition(":")[2], ports["viewer"]
+            # The page shows the default ports and a token that is not a real one.
             yield Setting(folder, environment, {"7019": port, "http://127.0.0.1:7080/?token=...": viewer})
         finally:
             daemon.send_signal(signal.SIGTERM)
@@ -77,8 +78,10 @@ def test_localizer_that_stays_runs_until_stopped(setting: Setting) -> None:
         # It prints its health once in a second.
         healthy = (line for line in localizer.stdout if "LOST" in line or "OK" in line)
         assert next(healthy, None)
+        # Two lines: the localizer goes on after it has found the robot.
         assert next(healthy, None)
         localizer.send_signal(signal.SIGINT)
         localizer.communicate()
         deadline.cancel()
+    # 128 + 2: ended by SIGINT.
     assert localizer.returncode == 130

@@ -16,6 +16,7 @@ from worlds import drawing
 def test_an_ellipse_lies_its_sigmas_away() -> None:
     cov = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.0]])
     outline = plot.ellipse(np.array([5.0, 6.0, 0.0]), cov, 3.0) - (5.0, 6.0)
+    # Points at three standard deviations have a squared Mahalanobis distance of 9.
     distances = (outline @ np.linalg.inv(cov[:2, :2]) * outline).sum(axis=-1)
     assert distances == pytest.approx(np.full(len(outline), 9.0))
 

@@ -31,6 +31,7 @@ def test_reward_is_the_information_that_was_gained() -> None:
     after = task._estimates[0].belief.cov[:3, :3]
     assert info["is_success"]
     # The entropy of a normal distribution: half the logarithm of the determinant, and a constant.
+    # The entropies' difference: the constants cancel.
     gained = 0.5 * math.log(np.linalg.det(before) / np.linalg.det(after))
     assert total == pytest.approx(gained + RIGHT_REWARD)
     assert (observation["std"] <= np.array([0.02, 0.02, 0.015], dtype=np.float32)).all()
@@ -45,6 +46,7 @@ def test_a_certain_estimate_elsewhere_is_a_failure() -> None:
     # With any covariance that is certain, this filter's error is far outside of it.
     task._certain_std = np.full(3, 1e3)
     task._information = np.zeros(1)
+    # 500 in off, while the filter claims to be certain.
     task._estimates[0].belief.mean[:2] += 500.0
     score = task.score(env.runner.robots.sense())
     assert (score.is_success.tolist(), score.is_failed.tolist()) == ([False], [True])

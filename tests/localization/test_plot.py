@@ -42,6 +42,7 @@ def test_nees_is_that_of_the_definition(run: Run) -> None:
     values = plot.nees_values(run)
     moment = run.moments[7]
     assert moment.error is not None
+    # The definition of NEES: e' P^-1 e.
     expected = moment.error @ np.linalg.inv(moment.estimate.belief.cov[:3, :3]) @ moment.error
     assert values[7] == pytest.approx(expected)
 
@@ -66,6 +67,7 @@ def test_runs_without_truth_have_gaps(run: Run) -> None:
 
 @pytest.mark.long
 def test_example_is_as_good_as_the_built_in_filter_on_the_same_drive() -> None:
+    # Both filters get the same states of one drive, so that the comparison has no noise of its own.
     runs: dict[str, Run] = {name: Run([]) for name in ("ekf", OWN)}
     with connect("sim:thesis_room?noisy=1&seed=3&step_s=0.1") as robot:
         schedule, state = restart_ring(robot, CONFIG.body.ring)
@@ -75,6 +77,7 @@ def test_example_is_as_good_as_the_built_in_filter_on_the_same_drive() -> None:
         for period in range(150):
             after = robot.drive(translation_in_s=5, steering_deg_s=8 if period > 60 else 0)
             was, truth = truth, robot.truth()
+            # The truth before and after the state, for the pose at the state's own clock.
             samples = [TruthSample(at.time_s, (at.x_in, at.y_in, at.steering_rad)) for at in (was, truth)]
             assert after.clock_s is not None
             pose = samples[0].interpolate(samples[1], after.clock_s)

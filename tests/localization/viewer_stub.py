@@ -30,6 +30,7 @@ def page_that(answers: Callable[[Any], tuple[int, str]]) -> Iterator[tuple[str, 
         def log_message(self, *_: object) -> None: ...
 
     with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        # A short poll interval, as shutdown() waits for the next poll.
         serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         serving.start()
         yield f"http://127.0.0.1:{server.server_port}/?token=secret", received

@@ -23,6 +23,7 @@ from nclient.transports.stream import MemoryStream
 from tests.nclient.protocol.recorded import SERIAL, exchanges, model_of
 
 NAK = Reply("nak")
+# 57 to 72 in: each sonar has its own value, and none is that of an empty slot.
 SONARS = {slot: 40 + slot for slot in range(17, 33)}
 
 
@@ -60,7 +61,9 @@ class ScriptedLine:
         for frame in self._framer.receive(data):
             call = codec.decode_serial_request(frame, self.wire_state)
             self.calls.append(call)
+            # A robot's clock advances in steps of about 16 ms.
             self.clock += 16
+            # What is late precedes the reply to the command that has just arrived: a line does not reorder.
             self.out += self._late
             self._late = b""
             self._answer(call)
@@ -88,6 +91,7 @@ class ScriptedLine:
         reply = self.answers.get(call.name, self._default_reply(call.name))
         if isinstance(reply, list):
             reply = reply.pop(0) if reply else self._default_reply(call.name)
+        # A robot that received and accepted the command changes the format of its replies.
         if reply is not None and reply != NAK:
             codec.update_from_request(call, self.wire_state)
         if isinstance(reply, Late):
@@ -100,6 +104,7 @@ class ScriptedLine:
     def _default_reply(self, name: str) -> Reply:
         layout = BY_NAME[name].line_reply
         if layout.kind == "special":
+            # A packet header of 12 bytes and type 40, then the int32 values 1 and 2: a result and a remaining time.
             return Reply("special", values=(12, 0, 0, 40, 1, 0, 0, 0, 2, 0, 0, 0))
         if name == "conf_cp":
             return Reply("compass", values=(1, 2, 3))
@@ -115,6 +120,7 @@ def direct_on(robot: ScriptedLine, *, hello: bool = False) -> DirectBackend:
 
 def spoiled(frame: bytes, at: int = 6) -> bytes:
     """Return the frame with one byte changed."""
+    # A bit in the middle of the byte, so that it does not become a start or an end byte.
     return frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]
 
 
@@ -128,6 +134,7 @@ class RecordedRobot:
 
     def send(self, data: bytes) -> None:
         exchange = self.exchanges[self._position]
+        # The client must send exactly the bytes that the C library sent.
         assert data == exchange.request, exchange.call
         self.out += exchange.reply
         self._position += 1

@@ -43,6 +43,7 @@ class ScriptedServer:
 
     def __init__(self, answers: Mapping[str, Answer] | None = None, model: Model = N150) -> None:
         self.answers: dict[str, Answer] = dict(answers or {})
+        # State[0] = 10: the simulation runs in real time.
         self.slots: dict[int, int] = {0: 10}
         self.clock = 0
         self.volts = (255, 255)
@@ -70,6 +71,7 @@ class ScriptedServer:
 
     def names(self) -> list[str]:
         """Return the C names of the calls after connecting, in order."""
+        # The first two calls are connect_robot and ct.
         return [call.name for call in self.calls[2:]]
 
     def last(self) -> Call:
@@ -94,6 +96,7 @@ class ScriptedServer:
             return self.state()
         if layout in _SLOTTED:
             return Reply(layout.kind, dict(self.slots), clock=self.clock)
+        # Replies without slots: numbers of each layout.
         lengths = {shape.COLLISION: 4, shape.CLICKED_CONFIGURATION: 4, shape.PREDICTION: 44, shape.SPECIAL: 16,
                    shape.TRUTH: 8, shape.CONTROL: 4}
         return Reply(layout.kind, values=(0,) * lengths.get(layout, 1), clock=self.clock)
@@ -111,6 +114,7 @@ def on_socket(talk: Callable[[socket.socket], None]) -> Iterator[int]:
     def serve() -> None:
         connection, _ = listener.accept()
         with connection:
+            # A client that fails must not leave this thread waiting without end.
             connection.settimeout(10)
             talk(connection)
 

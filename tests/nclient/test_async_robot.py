@@ -44,10 +44,12 @@ async def test_calls_run_in_one_thread_besides_the_loop() -> None:
         threads.add(threading.current_thread().name)
         answer(data)
 
+    # The names of the threads that send are recorded.
     server.send = send  # type: ignore[method-assign]  # a scripted server is made to answer late
 
     async with await on(server) as robot:
         server.slots = {0: 10, 17: 9}
+        # Five calls at once: they must be queued, as one connection has one exchange at a time.
         states = await asyncio.gather(*[robot.refresh() for _ in range(5)])
         assert [state.sonars_in[0] for state in states] == [9] * 5
         assert robot.state == states[-1]
@@ -77,6 +79,7 @@ class DelayedServer:
         answer = server.send
 
         def send(data: bytes) -> None:
+            # The bytes of gs: type 15, no words.
             if data == bytes.fromhex("000f0000"):
                 self.received.set()
                 assert self.go.wait(10)
@@ -91,12 +94,14 @@ async def test_a_cancelled_call_leaves_the_robot_usable() -> None:
 
     async with await on(server) as robot:
         asking = asyncio.ensure_future(robot.refresh())
+        # The task is cancelled after its request was sent, and before the reply.
         await asyncio.to_thread(delay.received.wait, 10)
         asking.cancel()
         with pytest.raises(asyncio.CancelledError):
             await asking
         delay.go.set()
         await robot.stop()
+    # The reply to gs was received after all, before st was sent; the second st is that of the end of the block.
     assert server.names() == ["gs", "st", "st", "disconnect_robot"]
 
 
@@ -110,6 +115,7 @@ async def test_a_program_that_is_cancelled_still_stops_its_robot() -> None:
 
     running = asyncio.ensure_future(program())
     await asyncio.to_thread(delay.received.wait, 10)
+    # Cancelled while gs waits for its reply: the robot must be stopped nevertheless.
     running.cancel()
     delay.go.set()
     with pytest.raises(asyncio.CancelledError):
@@ -121,6 +127,7 @@ async def test_robot_is_stopped_while_another_task_sleeps() -> None:
     server = ScriptedServer()
     async with await on(server) as robot:
         sleeping = asyncio.ensure_future(robot.sleep(60))
+        # The sleeping task begins first.
         await asyncio.sleep(0)
         await asyncio.wait_for(robot.stop(), 10)
         assert not sleeping.done()
@@ -162,6 +169,7 @@ async def test_a_cancelled_connection_is_closed() -> None:
     opening.cancel()
     with pytest.raises(asyncio.CancelledError):
         await opening
+    # The thread that connects cannot be cancelled: it must close the connection that it gets.
     thread = next(thread for thread in threading.enumerate() if thread.name.startswith("nomad-robot"))
     go.set()
     await asyncio.to_thread(thread.join, 10)

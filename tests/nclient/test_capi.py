@@ -31,6 +31,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(capi, "_client_state", type(capi._client_state)())
     capi.State[:] = [0] * 45
     capi.Smask[:] = EVERYTHING.smask
+    # A count, and 482 readings of two numbers.
     capi.Laser[:] = [0] * 965
     yield
     capi.disconnect_robot(1)
@@ -73,6 +74,7 @@ def replay(cases: list[dict[str, Any]]) -> Callable[[socket.socket], None]:
                     data = connection.recv(len(wanted) - len(request))
                     assert data, f"hung up in {case['call']}"
                     request += data
+                # Every byte must be that of the C library, apart from those that it leaves undefined.
                 assert comparable(case, request) == comparable(case, wanted), case["call"]
                 connection.sendall(bytes.fromhex(exchange.get("reply", "")))
         assert connection.recv(1) == b""
@@ -82,11 +84,14 @@ def replay(cases: list[dict[str, Any]]) -> Callable[[socket.socket], None]:
 
 def comparable(case: dict[str, Any], request: bytes) -> bytes:
     """A request without what a C client leaves undefined: process id, unused words."""
+    # Types 0x66 = 102 and 0x67 = 103, connect and disconnect: the last word is the process number.
     if request[:2] in (b"\0\x66", b"\0\x67"):
         return request[:-4]
+    # A line uses five of the eight words.
     if case["call"] == "motion_check" and case["args"][0] == 0:
         return request[:-12]
     if case["call"] == "tk":
+        # The last word of the text holds its end and NUL in the low bytes; the rest of it is undefined.
         used = len(case["args"]) % 4 + 1
         return request[:-4] + request[-used:]
     return request
@@ -95,6 +100,7 @@ def comparable(case: dict[str, Any], request: bytes) -> bytes:
 def play(case: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """Make the recorded call through the mirror; what it returned, and what its output lists hold."""
     name, args = case["call"], case["args"]
+    # Longer than any list that a C function fills.
     out: list[Any] = [0] * 40
     match name:
         case "mask":
@@ -105,6 +111,7 @@ def play(case: dict[str, Any]) -> tuple[int, dict[str, Any]]:
         case "get_rpx" | "get_robot_conf":
             return getattr(capi, name)(out), {"obs": out}
         case "add_obstacle" | "delete_obstacle":
+            # A C program passes an array that may be longer than the vertices in it.
             return getattr(capi, name)([*args, *[0] * 12]), {}
         case "move_obstacle":
             obs = [*args[:-2], *[0] * 14]
@@ -115,10 +122,12 @@ def play(case: dict[str, Any]) -> tuple[int, dict[str, Any]]:
             returned = capi.predict_sensors(x, y, th, tu, state, laser)
             return returned, {"pred_state": state, "pred_laser": laser[: 1 + laser[0]]}
         case "motion_check":
+            # The recording has thousandths; unused arguments are 0.
             a1, a2, a3, a4, a5, a6, a7 = [number / 1000 for number in args[1:]] + [0.0] * (8 - len(args))
             collide = [0.0, 0.0, 0.0]
             return capi.motion_check(args[0], a1, a2, a3, a4, a5, a6, a7, collide), {"collide": collide}
         case "special_request":
+            # C programs build the packet's header themselves: length low and high, serial number, type.
             return capi.special_request([4 + len(args), 0, 0, TYPE_OF_THE_RECORDER, *args], out), {"special": out}
         case "arm_ws":
             lift, grip, timeout = args
@@ -139,6 +148,7 @@ def test_recorded_sessions_give_the_same_state(session: str) -> None:
         for case in cases:
             returned, outputs = play(case)
             check_held(case, returned)
+            # Lists that the C functions fill: as many numbers as were recorded.
             for name, value in outputs.items():
                 assert value[: len(case["decoded"][name])] == case["decoded"][name], (case["call"], name)
     assert len(cases) > 20
@@ -199,6 +209,7 @@ def test_every_name_of_the_header_exists() -> None:
 
 def test_arguments_are_truncated_as_in_c(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
+    # C converts a double that is passed as an int by cutting off its fraction.
     assert capi.vm(10.9, -10.9, True) == capi.TRUE  # type: ignore[arg-type]
     assert server.last() == Call("vm", (10, -10, 1))
 
@@ -207,6 +218,7 @@ def test_arguments_are_truncated_as_in_c(server: ScriptedServer) -> None:
 
 
 @pytest.mark.parametrize(
+    # 450 tenths of a degree x 0.118597 = 53.4 tenths of an inch a wheel; 8 tenths give 0.9, which is cut off to 0.
     ("trans", "steer", "right", "left"), [(100, 0, 100, 100), (0, 450, 53, -53), (100, -450, 47, 153), (0, 8, 0, 0)]
 )
 def test_wheel_velocities_of_a_scout(server: ScriptedServer, trans: int, steer: int, right: int, left: int) -> None:
@@ -218,6 +230,7 @@ def test_wheel_velocities_of_a_scout(server: ScriptedServer, trans: int, steer: 
     assert server.last() == Call("pr", (right, left, 0))
 
 
+# Travel of a wheel for a degree of turn: half the track of 13.590 in, times pi / 180.
 def test_the_rotation_constant_is_half_the_track() -> None:
     assert pytest.approx(13.590 / 2 * 3.14159265 / 180, rel=1e-4) == capi.ROTATION_CONSTANT
 
@@ -226,6 +239,7 @@ def test_the_rotation_constant_is_half_the_track() -> None:
 
 
 def test_every_call_is_false_before_connecting(capsys: pytest.CaptureFixture[str]) -> None:
+    # Values of the lists must not change by a call that fails.
     out: list[Any] = [9] * 9
     assert [capi.gs(), capi.vm(1, 2, 3), capi.tk("x"), capi.ct(), capi.get_rpx(out)] == [capi.FALSE] * 5
     assert [capi.disconnect_robot(1), capi.predict_sensors(0, 0, 0, 0, out, out)] == [0, 0]
@@ -243,10 +257,12 @@ def test_a_refusal_is_false_with_its_code_in_state_44(server: ScriptedServer) ->
     server.answers["vm"] = error(5)
     state = capi.State
     assert capi.vm(1, 1, 1) == capi.FALSE
+    # Error 5 in State[44], and the sonar as before.
     assert (state[44], state[17]) == (5, 80)
     assert isinstance(capi.last_error(), RobotRefused)
     assert capi.gs() == capi.TRUE
     assert state[44] == 0
+    # Programs hold references to the State array: it must be changed in place.
     assert state is capi.State
 
 
@@ -272,6 +288,7 @@ def test_connecting_without_a_state(monkeypatch: pytest.MonkeyPatch) -> None:
     assert capi.Laser[0] == 0
 
 
+# After a missing reply the next one could be the wrong one: the connection is closed.
 def test_a_timeout_is_false_and_so_is_every_later_call(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     server.answers["gs"] = None
@@ -291,6 +308,7 @@ def test_values_that_cannot_be_encoded_are_false(server: ScriptedServer) -> None
 
 
 @pytest.mark.parametrize("mode", [6, 7, 8])
+# Modes 6 to 8 of any axis, pa and conf_ser are refused by the C library itself.
 @pytest.mark.parametrize("axis", [0, 2, 4])
 def test_refused_modes_are_not_sent(server: ScriptedServer, mode: int, axis: int) -> None:
     assert capi.connect_robot(1)
@@ -316,6 +334,7 @@ def test_a_robot_that_cannot_be_created_is_false(server: ScriptedServer) -> None
 
 
 def test_a_missing_server_is_false() -> None:
+    # The port is closed again at the end of the block: nothing listens on it then.
     with socket.create_server(("127.0.0.1", 0)) as listener:
         use(listener.getsockname()[1])
         assert capi.server_is_running() == capi.TRUE
@@ -331,6 +350,7 @@ def test_the_environment_is_the_default_machine(monkeypatch: pytest.MonkeyPatch)
     server = ScriptedServer()
     with on_socket(by_script(server, 3)) as port:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}/2?tm_s=0")
+        # A port where nothing listens: the environment must win.
         capi.SERV_TCP_PORT = 1
         assert capi.connect_robot(1) == capi.FALSE
         assert str(capi.last_error()).startswith(f"NOMAD_ROBOT: 'nserver://127.0.0.1:{port}/2?tm_s=0' names robot 2, ")
@@ -353,6 +373,7 @@ def test_reconnecting_resets_the_mask(server: ScriptedServer) -> None:
     capi.Smask[17] = 0
     assert capi.ct()
     assert capi.connect_robot(2)
+    # One robot at a time: connecting again ends the first connection.
     assert server.closed == 1
     assert [call.name for call in server.calls] == [
         "connect_robot", "ct", "ct", "disconnect_robot", "connect_robot", "ct",
@@ -369,6 +390,7 @@ def test_mask_values_become_zero_or_one(server: ScriptedServer) -> None:
     assert capi.connect_robot(1)
     capi.Smask[3] = 0
     capi.Smask[4] = 255
+    # C programs set mask entries to any value other than 0.
     assert capi.ct()
     assert server.last().args[2:5] == (1, 0, 1)
 
@@ -388,6 +410,7 @@ def test_rings_of_stamps_have_sixteen_times_nine_numbers(server: ScriptedServer)
     sonars: list[Any] = [None] * 16
     infrareds: list[Any] = [None] * 16
     assert capi.posSonarRingGet(sonars) == capi.posInfraredRingGet(infrareds) == capi.TRUE
+    # A row of nine zeros for each sensor: no reading has arrived.
     assert sonars == infrareds == [[0] * 9] * 16
     assert server.last().args[0] == 3
 
@@ -417,6 +440,7 @@ def test_the_program_in_the_docstring_runs(capsys: pytest.CaptureFixture[str]) -
     server.slots = {0: 10, 17: 80, 34: 123}
 
     def talk(connection: socket.socket) -> None:
+        # Eight calls in all; the sonar's reading falls below the program's limit after the fifth.
         by_script(server, calls=5)(connection)
         server.slots[17] = 20
         by_script(server, calls=8)(connection)
@@ -442,6 +466,7 @@ def test_a_program_drives_the_simulation() -> None:
     assert capi.pr(50, 0, 0)
     assert capi.ws(1, 1, 1, 20)
     assert capi.State[34] == 50
+    # A N150 has no laser: error 4.
     assert capi.get_ls() == capi.FALSE
     assert capi.State[44] == 4
     assert capi.disconnect_robot(1)

@@ -63,6 +63,7 @@ def play(case: dict[str, Any]) -> int:
         case "special_request":
             returned = capi.special_request([4 + len(args), 0, 0, TYPE_OF_THE_RECORDER, *args], out)
             special = case["decoded"]["special"]
+            # The C buffer is longer than the packet.
             assert out[: len(special)] == special[: len(out)]
             return returned
         case "tk":
@@ -79,6 +80,7 @@ def test_recorded_sessions_give_the_same_state(session: str, opened: list[tuple[
     device, conn = ("lab", 65001) if session.endswith("_tcp") else ("/dev/ttyUSB0", 38400)
     assert capi.connect_robot(1, number, device, conn) == 1
     assert opened[0][:2] == (device, conn)
+    # A N200 answers ct while connecting: its state is the first recorded one.
     check_held(first)
     for case in cases:
         assert play(case) == case["decoded"].get("arm", case["decoded"]["return"]), case["call"]
@@ -116,11 +118,14 @@ def test_bumper_bits_are_raw_and_a_nak_is_success(opened: list[tuple[Any, ...]])
     peers.append(ScriptedLine({"vm": NAK}))
     assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
     assert capi.gs() == capi.TRUE
+    # The four bits that always read 1 are not removed for C programs.
     assert capi.State[33] == 0xF00000
     before = list(capi.State)
+    # The C library returns 1 on a NAK, and leaves State as it is.
     assert capi.vm(100, 0, 0) == capi.TRUE
     assert capi.State == before
     assert isinstance(capi.last_error(), RobotRefused)
+    # Commands of an Nserver do not exist on a serial line.
     assert capi.real_robot() == capi.FALSE
     assert capi.get_bp() == capi.TRUE
     assert opened
@@ -143,6 +148,7 @@ def test_an_address_of_a_line_is_a_machine_name(opened: list[tuple[Any, ...]]) -
     assert capi.connect_robot(1) == 1
     assert capi.server_is_running() == capi.TRUE
     assert capi.gs() == capi.TRUE
+    # server_is_running opens a line of its own.
     assert len(opened) == 2
 
 
@@ -154,6 +160,7 @@ def test_numbers_out_of_range_are_clamped(opened: list[tuple[Any, ...]]) -> None
     assert capi.sp(-5, 70_000, 450) == capi.TRUE
     assert capi.conf_tm(300) == capi.TRUE
     assert capi.place_robot(40_000, 1, 2, 3) == capi.TRUE
+    # Sign-magnitude of 16 bits, unsigned 16 bits, one byte.
     assert robot.calls == [
         Call("pr", (32767, -32767, 1)), Call("sp", (0, 65535, 450)), Call("conf_tm", (255,)),
         Call("dp", (32767, 1)), Call("da", (2, 3)),
@@ -167,5 +174,6 @@ def test_a_wait_above_255_seconds_is_split(opened: list[tuple[Any, ...]]) -> Non
     peers.append(robot)
     assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
     assert capi.ws(1, 1, 1, 600) == capi.TRUE
+    # 600 s in pieces of at most 255 s, as one byte holds; the motor bit never clears.
     assert [call.args[3] for call in robot.calls] == [255, 255, 90]
     assert opened

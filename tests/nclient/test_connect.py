@@ -63,12 +63,14 @@ def test_addresses_of_nservers(
     assert isinstance(robot, Robot)
     assert dialled == [(host, port)]
     assert servers[0].calls[0].args[0] == robot_id
+    # The second call is ct, with all masks on.
     assert servers[0].calls[1].args == EVERYTHING.smask
 
 
 def test_the_environment_is_the_default_address(
     dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Without an address: first the default, then the environment's, then the named one; an empty variable is none.
     connect()
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/2")
     connect()
@@ -81,6 +83,7 @@ def test_the_environment_is_the_default_address(
 def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
     robot = connect("nserver://lab/1?timeout_s=0.5&model=scout&tm_s=0", timeout_s=9)
     assert dialled
+    # The address's own option precedes the argument.
     assert robot.model is SCOUT
     assert robot._backend.timeout_s == 0.5  # type: ignore[attr-defined]
     assert connect("nserver://lab/1?tm_s=0", timeout_s=9)._backend.timeout_s == 9  # type: ignore[attr-defined]
@@ -144,9 +147,11 @@ def test_the_simulation_runs_in_this_process() -> None:
         assert (truth.x_in, truth.y_in, truth.seed) == (10, 20, 4)
         first = robot.refresh().clock_s
         assert first is not None
+        # Lockstep: an exchange takes 1 ms of simulated time.
         assert robot.refresh().clock_s == pytest.approx(first + 0.001)
         # What the program waits for passes, whatever a call takes.
         robot.sleep(2.5)
+        # Two exchanges of 1 ms and the 2.5 s of sleep.
         assert robot.refresh().clock_s == pytest.approx(first + 2.502)
         with pytest.raises(ValueError, match="seconds"):
             robot.sleep(-1)
@@ -160,6 +165,7 @@ def test_sleeps_of_less_than_a_millisecond_add_up() -> None:
             robot.sleep(0.0003)
         end_s = robot.refresh().clock_s
     assert begin_s is not None
+    # 300 us are less than the 1 ms of a step: the rest must be carried over from sleep to sleep.
     assert end_s == pytest.approx(begin_s + 0.3, abs=0.003)
 
 
@@ -183,6 +189,7 @@ def test_available_schemes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_refused_connection_suggests_nserver() -> None:
+    # The port is closed at the end of the block: nothing listens on it then.
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(ConnectionLost, match="is nserver running"):
@@ -216,6 +223,7 @@ def test_an_empty_machine_name_is_this_machine(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     monkeypatch.setattr("nclient.transports.stream.TcpStream", dial)
+    # Old servers listen on the machine's own name and not on localhost.
     monkeypatch.setattr("nclient.transports.stream.names_of_this_machine", lambda: ("localhost", "own_name"))
     assert open_machine("", 7019, ConnectOptions()).port == 7019
     assert is_listening("", 7019)

@@ -45,6 +45,7 @@ class Time:
 class Patient:
     """A scripted robot that ignores gs number k if k is in `deaf`; its clock advances with each request."""
 
+    # State[0] = 10 is real time; all sonars read 60 in.
     def __init__(self, model: Model = N150, deaf: range = range(0)) -> None:
         self.script = ScriptedServer(model=model)
         self.script.slots = {0: 10} | dict.fromkeys(range(17, 33), 60)
@@ -60,6 +61,7 @@ class Patient:
             self.count += 1
             if self.count in self.deaf:
                 return
+        # 30 ms of the robot's clock for each request.
         self.script.clock += 30
         self.script.send(data)
 
@@ -84,8 +86,10 @@ def test_a_healthy_robot_is_not_moved() -> None:
     chart = examined(patient, 40, time)
     assert {grade for grade, _ in findings_of(chart).values()} == {"OK"}
     asked = [call.name for call in patient.script.calls]
+    # Only queries: nothing that moves the robot, and no st.
     assert asked == ["connect_robot", "ct", *["gs"] * 40, *chart.answers, "disconnect_robot"]
     assert all(name.startswith("get_") for name in chart.answers)
+    # A gs every 30 ms, less the 1 ms that the clock takes for the exchange.
     assert time.slept_s == pytest.approx(40 * 0.029, abs=1e-6)
     assert findings_of(chart)["link"] == ("OK", "40 of 40 gs answered; 1.00 ms p50, 1.00 ms p99")
     assert findings_of(chart)["clock"][1] == f"went forward 1.2 s, {39 * 0.03 / chart.elapsed_s:.2f} s a second"
@@ -94,6 +98,7 @@ def test_a_healthy_robot_is_not_moved() -> None:
 
 def test_lockstep_time_needs_no_pause() -> None:
     patient, time = Patient(), Time()
+    # State[0] = 0: simulated time advances with each request, and waiting is useless.
     patient.script.slots[0] = 0
     examined(patient, 40, time)
     assert time.slept_s == 0
@@ -120,9 +125,11 @@ def test_unanswered_queries_are_reported() -> None:
     assert "get_bp (get_bp was refused: not available on this robot (error 4))" in seen
     assert "get_rv (get_rv, with 5 s to answer" in seen
     assert chart.answers["get_rc"] == ""
+    # Connections: the first one, and one after each of the two that a missing reply closed.
     assert patient.connections == 3, "what was not answered closed the connection, twice"
 
 
+# One lost reply of 40 is a warning, five are a failure.
 @pytest.mark.parametrize(("deaf", "grade"), [(range(5, 6), "WARN"), (range(5, 10), "FAIL")])
 def test_lost_replies_are_graded(deaf: range, grade: str) -> None:
     patient = Patient(deaf=deaf)
@@ -141,6 +148,7 @@ def test_a_robot_that_disappears() -> None:
 
 
 def test_a_slow_link() -> None:
+    # Each look at the clock takes 0.3 s.
     chart = examined(Patient(), time=Time(0.3))
     assert findings_of(chart)["link"] == ("WARN", "40 of 40 gs answered; 300.00 ms p50, 300.00 ms p99: slow")
 
@@ -154,6 +162,7 @@ def test_counts_of_a_line_are_reported() -> None:
 
 
 def test_percentiles_by_nearest_rank() -> None:
+    # Nearest rank: the smallest value of which at least that part of all values is not larger.
     assert [percentile_s([5, 1, 4, 2, 3], share) for share in (0.0, 0.2, 0.21, 0.5, 0.99, 1.0)] == [1, 1, 2, 3, 5, 5]
 
 

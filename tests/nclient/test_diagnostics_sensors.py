@@ -29,6 +29,7 @@ def rings(columns: Sequence[Sequence[int]], count: int = 20) -> list[RobotState]
 
 def noisy(seed: int = 1) -> list[list[int]]:
     rng = Random(seed)
+    # A noise of 1 percent: 20 readings of walls from 20 to 170 in.
     return [[round(far * (1 + rng.gauss(0, 0.01))) for _ in range(20)] for far in range(20, 180, 10)]
 
 
@@ -42,6 +43,7 @@ def test_a_noisy_ring_is_healthy(seed: int) -> None:
 
 
 def test_a_ring_without_noise_is_healthy() -> None:
+    # One sonar without an echo between neighbours that have one is suspicious; three in a row may be an open door.
     assert grades(doctor.sonars(rings([[30]] * 15 + [[255]]))) == [("WARN", "sonars")]
     assert grades(doctor.sonars(rings([[30]] * 13 + [[255]] * 3))) == [("OK", "sonars")]
     assert "13 of 16" in doctor.sonars(rings([[30]] * 13 + [[255]] * 3))[0].seen
@@ -49,6 +51,7 @@ def test_a_ring_without_noise_is_healthy() -> None:
 
 def test_dead_sonars() -> None:
     columns = noisy()
+    # Sonar 3 reads 0, which no working sonar does; sonar 9 has no echo between two neighbours that have one.
     columns[3], columns[9] = [0], [255]
     findings = doctor.sonars(rings(columns))
     assert grades(findings) == [("FAIL", "sonar 3"), ("WARN", "sonars")]
@@ -66,14 +69,18 @@ def test_silence_beside_a_corner_is_healthy() -> None:
 
 def test_a_stuck_sonar_is_steadier_than_nearer_ones() -> None:
     columns = noisy()
+    # 170 in with 1 percent of noise varies by inches: a constant 170 is suspicious.
     columns[15] = [170]
     assert grades(doctor.sonars(rings(columns))) == [("WARN", "sonar 15")]
     assert grades(doctor.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few states"
+    # At 20 in the noise is 0.2 in, less than the resolution of an inch.
     columns[15] = [20]
     assert grades(doctor.sonars(rings(columns))) == [("OK", "sonars")], "near ones are steady by nature"
     columns = [[30]] * 16
+    # Readings that change by one inch show rounding, and no noise.
     columns[1], columns[2], columns[3], columns[4] = [40, 41], [40, 41], [40, 41], [100]
     assert grades(doctor.sonars(rings(columns))) == [("OK", "sonars")], "by one, rounding flickers"
+    # Readings that change by two inches show noise, so that each constant one is suspicious.
     columns[1], columns[2], columns[3] = [20, 22], [20, 22], [20, 22]
     assert len(doctor.sonars(rings(columns))) == 13
 
@@ -84,11 +91,13 @@ def test_infrareds() -> None:
 
     changing = [[3, 5], [4, 6], [2, 7]]
     assert grades(doctor.infrareds(states(*changing, *[[15]] * 13))) == [("OK", "infrareds")]
+    # A constant reading of 9 is suspicious; 15 is "nothing in range".
     assert grades(doctor.infrareds(states(*changing, [9], *[[15]] * 12))) == [("WARN", "infrared 3")]
     assert grades(doctor.infrareds(states(*[[0]] * 16))) == [("FAIL", "infrareds")]
 
 
 @pytest.mark.parametrize(("bits", "grade", "text"), [
+    # Bit 3 in both states; bit 19 in one of them.
     ([0, 0], "OK", "none"), ([8, 8 + 1], "FAIL", "all the time: 3"), ([0, 1 << 19], "WARN", "now and then: 19"),
 ])
 @pytest.mark.parametrize("model", [N150, SCOUT])
@@ -98,6 +107,7 @@ def test_bumpers(model: Model, bits: list[int], grade: str, text: str) -> None:
 
 
 @pytest.mark.parametrize(("raw", "grade", "seen"), [
+    # The raw byte r is (2 + 3 r / 255) x 12 / 5 V: 224 is 11.12 V, 201 is 10.48 V.
     (255, "OK", "12.00 V"), (224, "OK", "11.12 V"), (223, "WARN", "11.10 V: low"), (202, "WARN", "10.50 V: low"),
     (201, "FAIL", "10.48 V: empty"), (0, "FAIL", "4.80 V: empty"),
 ])
@@ -109,6 +119,7 @@ def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
 
 
 @pytest.mark.parametrize(("times", "grade", "text"), [
+    # A clock of 32 bits that starts again at 0 goes on.
     ([0, 100, 200], "OK", "went forward 0.2 s"), ([2**32 - 50, 50], "OK", "went forward 0.1 s"),
     ([500, 400, 900], "FAIL", "went back 1 times, by 0.1 s"), ([7, 7], "WARN", "stands still"),
     ([None, 7], "WARN", "never received"),
@@ -125,6 +136,7 @@ def test_the_rate_of_the_clock() -> None:
 
 def test_a_moving_robot_is_reported() -> None:
     assert doctor.motion([state(), state()]).grade is Grade.OK
+    # A motor bit, and a velocity without one.
     for moved in (state({41: 2}), state({39: -1})):
         assert doctor.motion([state(), moved]).grade is Grade.WARN
 

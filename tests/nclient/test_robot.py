@@ -33,6 +33,7 @@ Verb = Callable[[Robot], object]
 
 SENT: list[tuple[Verb, str, tuple[Any, ...]]] = [
     (lambda r: r.drive(translation_in_s=10, steering_deg_s=-5), "vm", (100, -50, 0)),
+    # 0.254 m/s are 10 in/s; pi / 4 are 45 degrees.
     (lambda r: r.drive(translation_m_s=0.254, turret_rad_s=math.pi / 4), "vm", (100, 0, 450)),
     (lambda r: r.drive(), "vm", (0, 0, 0)),
     (lambda r: r.move(translation_in=100, steering_rad=-math.pi / 2, turret_deg=360), "pr", (1000, -900, 3600)),
@@ -44,15 +45,19 @@ SENT: list[tuple[Verb, str, tuple[Any, ...]]] = [
     (lambda r: r.release(), "lp", ()),
     (lambda r: r.zero(), "zr", ()),
     (lambda r: r.wait_until_still(), "ws", (1, 1, 1, 20)),
+    # ws takes whole seconds: 2.1 is rounded up.
     (lambda r: r.wait_until_still(2.1, steering=False), "ws", (1, 0, 1, 3)),
     (lambda r: r.set_speeds(translation_in_s=20, steering_deg_s=45, turret_deg_s=45), "sp", (200, 450, 450)),
     (lambda r: r.set_accelerations(translation_m_s2=0.762, steering_deg_s2=50), "ac", (300, 500, 0)),
+    # 1 m = 39.37 in = 393.7 tenths.
     (lambda r: r.set_position(x_in=-123.4, y_m=1), "dp", (-1234, 394)),
     (lambda r: r.set_angles(steering_deg=90, turret_rad=-math.pi), "da", (900, -1800)),
     (lambda r: r.set_timeout(5), "conf_tm", (5,)),
+    # conf_tm 0 would turn the timeout off, so that 0.2 s is rounded up to 1 s.
     (lambda r: r.set_timeout(0.2), "conf_tm", (1,)),
     (lambda r: r.configure_sonars(), "conf_sn", (15, *DEFAULT_SONAR_ORDER)),
     (lambda r: r.configure_sonars(rate=0, order=[1, 2, 3]), "conf_sn", (0, *ORDER)),
+    # 60 ms = 15 x 4 ms.
     (lambda r: r.configure_sonars(interval_s=0.06, order=()), "conf_sn", (15, *[255] * 16)),
     (lambda r: r.configure_infrareds(history=5, order=[1, 2, 3]), "conf_ir", (5, *ORDER)),
     (lambda r: r.configure_compass(2), "conf_cp", (2,)),
@@ -87,6 +92,7 @@ def test_queries_update_their_part_of_the_state() -> None:
     server.slots = {1: 3, 17: 4, 33: 1, 34: 50, 38: 60, 43: 70}
     server.clock = 1500
     assert robot.read_infrareds().infrareds[0] == 3
+    # Only the slots of the reply change: the sonars are still those of the connection.
     assert robot.state.sonars_in[0] == 0
     assert robot.read_sonars().sonars_in[0] == 4
     assert robot.read_bumpers().bumpers == (0,)
@@ -101,6 +107,7 @@ def test_accelerations_do_not_change_the_state() -> None:
     server.slots = {0: 10, 38: 60}
     robot = robot_on(server)
     server.slots = {38: 300, 39: 500, 40: -500}
+    # get_rv and get_ra share the slots 38 to 40: an acceleration must not be read as a velocity.
     assert robot.read_accelerations() == (30, 50, -50)
     assert robot.state.translation_in_s == 6
 
@@ -114,6 +121,7 @@ def test_selecting_sensors_preserves_position_data() -> None:
     assert set(everything[1:]) == {1}
     robot.select_sensors(infrareds=(), sonars=iter([0, 15]), bumpers=False, motion=True, compass=False, laser=False)
     smask = server.last().args
+    # Position data (0), sonars 0 and 15, motion (34 to 40), and Smask[41], which no option concerns.
     assert [slot for slot in range(44) if smask[slot]] == [0, 17, 32, 34, 35, 36, 37, 38, 39, 40, 41]
     assert smask[0] == 18
     robot.select_sensors(motion=False)
@@ -133,6 +141,7 @@ def test_position_data_are_stamps() -> None:
 
 
 def test_speech_and_packets() -> None:
+    # A header of 4 bytes is removed; a word has its byte in the low 8 bits.
     answer = (7, 0, 0, 9, 1, 2, 256 + 3)
     server = ScriptedServer({"special_request": Reply("special", values=answer)})
     robot = robot_on(server)
@@ -144,6 +153,7 @@ def test_speech_and_packets() -> None:
 
 def test_the_arm() -> None:
     result = (-5).to_bytes(4, "little", signed=True)
+    # 0x3e8 = 1000, low byte first.
     answer = Reply("special", values=(12, 0, 0, 40, *result, 0xE8, 3, 0, 0))
     server = ScriptedServer(dict.fromkeys(("arm_zr", "arm_ws", "arm_mv"), answer))
     robot = robot_on(server)
@@ -189,6 +199,7 @@ def test_invalid_arguments_are_rejected_and_not_sent(verb: Verb, wrong: type[Exc
 
 SCOUT_SENT: list[tuple[Verb, str, tuple[int, ...]]] = [
     (lambda r: r.drive(translation_in_s=10), "vm", (100, 100, 0)),
+    # 45 deg/s x 0.118597 in/deg = 5.3 in/s for each wheel, in opposite directions.
     (lambda r: r.drive(translation_in_s=10, steering_deg_s=45), "vm", (153, 47, 0)),
     (lambda r: r.move(steering_deg=-90), "pr", (-106, 106, 0)),
     (lambda r: r.set_speeds(translation_in_s=20), "sp", (200, 200, 0)),
@@ -267,6 +278,7 @@ def test_leaving_by_an_error_stops_the_robot() -> None:
 def test_leaving_a_lost_robot_raises_nothing() -> None:
     server = ScriptedServer({"gs": None})
     with robot_on(server) as robot, pytest.raises(ReplyTimeout):
+        # st is not sent on a closed connection.
         robot.refresh()
     assert server.names() == ["gs"]
 
@@ -275,6 +287,7 @@ def test_a_refused_stop_is_raised_after_disconnecting() -> None:
     server = ScriptedServer({"st": error(6)})
     with pytest.raises(RobotRefused, match="st was refused"), robot_on(server):
         pass
+    # The refusal is raised after the connection was closed in an orderly manner.
     assert server.names() == ["st", "disconnect_robot"]
 
 
@@ -298,6 +311,7 @@ def test_exchanges_of_threads_do_not_overlap(monkeypatch: pytest.MonkeyPatch) ->
     overlapped, second_goes = threading.Event(), threading.Event()
     answer = server.send
 
+    # The second thread gets here only if it does not wait for the reply of the first.
     def send(data: bytes) -> None:
         if second_goes.is_set():
             overlapped.set()

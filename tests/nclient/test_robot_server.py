@@ -65,6 +65,7 @@ def test_lengths_need_a_unit(verb: str) -> None:
 def test_a_moved_obstacle_returns_its_corners() -> None:
     server = ScriptedServer({"move_obstacle": simple(3, 10, -20, 110, -20, 110, 80)})
     robot = robot_on(server)
+    # Tenths of an inch: (10, -20) is the shifted corner (1, -2).
     assert robot.move_obstacle(corners_in=SQUARE_IN, shift_in=(1, -2)) == ((1, -2), (11, -2), (11, 8))
     assert server.last() == Call("move_obstacle", (*SQUARE, 10, -20))
     robot.move_obstacle(corners_m=SQUARE_M, shift_m=(0.0254, -0.0508))
@@ -101,6 +102,7 @@ def test_a_prediction_does_not_change_the_state() -> None:
 
 
 def test_check_motion_of_lines() -> None:
+    # Hundredths of a tenth of an inch, that is 1/1000 in, and millionths of a radian.
     server = ScriptedServer({"motion_check": simple(1, 12345, -6789, 1570796)})
     robot = robot_on(server)
     hit = robot.check_motion(line_in=[(0, 0), (1, 0.5)])
@@ -116,6 +118,7 @@ def test_check_motion_of_arcs() -> None:
     robot_on(server).check_motion(arc=Arc(1, 2, 1.5707963, -3.1415926, 5, 0.1, 0.2))
     kind, *numbers = server.last().args
     assert kind == 1
+    # Thousandths of a tenth of an inch, and thousandths of a radian.
     assert numbers == pytest.approx([10000, 20000, 1570.796, -3141.592, 50000, 1000, 2000])
 
 
@@ -129,6 +132,7 @@ def test_connect_robot_switches_to_another_robot() -> None:
         ("connect_robot", 2), ("gs",), ("create_robot", 3), ("gs",)
     ]  # fmt: skip
     robot.disconnect()
+    # The robot that was created last is the one that is disconnected.
     assert server.last().args[0] == 3
 
 
@@ -142,6 +146,7 @@ def test_connect_robot_refuses_unknown_numbers() -> None:
 
 
 def test_truth_of_a_simulation() -> None:
+    # 1, simulated ms, x and y in 1/1000 in, heading and turret in 1/1000 degree, seed, robot number.
     values = (1, 2100, 24370, -263, 90_000, 180_000, 7, 1)
     robot = robot_on(ScriptedServer({"sim_truth": Reply("truth", values=values)}))
     truth = robot.truth()
@@ -175,6 +180,7 @@ def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, 
 
 
 def test_simulated_time_beyond_25_days_is_not_negative() -> None:
+    # Signed 32 bits of ms end after 24.9 days: the word is read as unsigned.
     server = ScriptedServer({"sim_control": Reply("control", values=(1, -1000, 10, 0))})
     assert robot_on(server).control_time("pause").time_s == pytest.approx((2**32 - 1000) / 1000)
 

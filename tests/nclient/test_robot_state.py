@@ -38,6 +38,7 @@ def test_infrareds_are_slots_1_to_16() -> None:
 def test_the_pose_in_both_units() -> None:
     seen = state(s34=-1234, s35=5678, s36=900, s37=3599)
     assert (seen.x_in, seen.y_in) == (-123.4, 567.8)
+    # 123.4 in x 0.0254 m/in = 3.13436 m.
     assert (seen.x_m, seen.y_m) == pytest.approx((-3.134360, 14.422120))
     assert (seen.steering_deg, seen.turret_deg) == (90.0, 359.9)
     assert (seen.steering_rad, seen.turret_rad) == pytest.approx((math.pi / 2, math.radians(359.9)))
@@ -57,6 +58,7 @@ def test_velocities_of_a_synchro_drive() -> None:
     assert (seen.translation_in_s, seen.translation_m_s) == pytest.approx((20, 0.508))
     assert (seen.steering_deg_s, seen.turret_deg_s) == (-45, 90)
     assert (seen.steering_rad_s, seen.turret_rad_s) == pytest.approx((-math.pi / 4, math.pi / 2))
+    # A synchro drive has no wheels of its own: both read the translation.
     assert seen.right_in_s == seen.left_in_s == 20
     assert (seen.right_m_s, seen.left_m_s) == pytest.approx((0.508, 0.508))
 
@@ -64,6 +66,7 @@ def test_velocities_of_a_synchro_drive() -> None:
 def test_velocities_of_a_scout_come_from_its_wheels() -> None:
     seen = state(SCOUT, s38=130, s39=70, s40=999)
     assert (seen.right_in_s, seen.left_in_s) == (13, 7)
+    # The mean of 13 and 7 in/s, and their difference by the track of 13.590 in.
     assert seen.translation_in_s == 10
     track_in = 13.590
     assert seen.steering_rad_s == pytest.approx((13 - 7) / track_in, rel=1e-4)
@@ -80,6 +83,7 @@ def test_velocities_of_a_scout_come_from_its_wheels() -> None:
         (N150, 8, (False, False, False, False)),
         (SCOUT, 1, (True, True, True, False)),
         (SCOUT, 2, (True, True, True, False)),
+        # Battery, mains and emergency stop bits are no motion.
         (SCOUT, 0b1111100, (False, False, False, False)),
     ],
 )
@@ -119,6 +123,7 @@ def test_compass_speed_and_error() -> None:
 def test_laser_readings_have_the_width_of_the_mode() -> None:
     assert RobotState(N200, (0,) * 45).laser_points_in == ()
     assert RobotState(N200, (0,) * 45, (2, 10, 20, 30, -40)).laser_points_in == ((1, 2), (3, -4))
+    # In point modes the count is that of points; four numbers for a count of 1 are a line.
     assert RobotState(N200, (0,) * 45, (1, 10, 20, 30, 40)).laser_points_in == ((1, 2, 3, 4),)
     assert RobotState(N200, (0,) * 45, (3, 1, 2, 3)).laser_points_in == (), "rows of the camera"
 
@@ -142,6 +147,7 @@ def test_a_snapshot_does_not_change() -> None:
     assert seen.clock_s == 16.48
     assert seen.battery is not None
     assert seen.battery.cpu_v == pytest.approx(12.0)
+    # The raw byte 0 is 2/5 of the range.
     assert seen.battery.motor_v == pytest.approx(2 * 12.85 / 5)
     (taken,) = seen.stamps.values()
     assert taken.pose == Pose(1, 2, math.pi, math.pi / 2)

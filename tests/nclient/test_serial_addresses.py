@@ -55,6 +55,7 @@ def test_a_serial_port(bench: Bench) -> None:
     assert bench.robot.calls == [Call("conf_tm", (5,))]
     assert robot.state.sonars_in[0] == 57
     assert robot.state.bumpers == ()
+    # The raw slot has the bits that always read 1; `bumpers` leaves them out.
     assert robot.state.raw[33] == 0xF00000
     bench.connect("serial:///dev/serial/by-id/a%20b?model=scout&baud=9600&tm_s=0")
     assert bench.opened[1] == ("/dev/serial/by-id/a b", 9600)
@@ -79,6 +80,7 @@ def test_the_serial_protocol_over_tcp(bench: Bench) -> None:
     bench.robot.out += build_handshake(Handshake(EVERYTHING.with_position(2), 51))
     robot = bench.connect("robotd://[::1]:7000?model=n200")
     assert [where[:2] for where in bench.opened] == [("lab", 65001), ("::1", 7000)]
+    # The mask came with the handshake: no ct is sent.
     assert bench.robot.names() == ["conf_tm"]
     assert "sonar_0" in robot.refresh().stamps
 
@@ -94,6 +96,7 @@ def test_a_program_runs_unchanged_on_a_line(bench: Bench) -> None:
             robot.position_data(sonars=True)
         assert not robot.is_simulated()
         assert robot.link is not None
+        # conf_tm, conf_sn, vm and ws; refusals by this side are no exchanges.
         assert robot.link.exchanges == robot.link.answers == 4
     assert bench.robot.names() == ["conf_tm", "conf_sn", "vm", "ws", "st"]
     assert bench.robot.closed == 1
@@ -125,6 +128,7 @@ def test_a_lost_line_is_reopened_by_default(bench: Bench) -> None:
         robot.refresh()
     assert not robot.closed
     assert robot.refresh().sonars_in[0] == 57
+    # The settings are restored on the new connection before gs is sent.
     assert bench.robot.names() == ["conf_tm", "conf_tm", "gs"]
     assert robot.link is not None
     assert (robot.link.losses, robot.link.reconnects) == (1, 1)
@@ -151,6 +155,7 @@ def test_replies_are_validated_by_default(bench: Bench) -> None:
     with pytest.raises(ReplyTimeout, match="compass reads 4000"):
         bench.connect("serial:///dev/ttyUSB0?tm_s=0&retries=0").refresh()
     assert bench.connect("serial:///dev/ttyUSB0?tm_s=0&retries=0&checks=0").refresh().compass_deg == 400
+    # With two retries the third reply is accepted: the value is unusual, and not corrupt.
     assert bench.connect("serial:///dev/ttyUSB0?tm_s=0").refresh().compass_deg == 400
 
 
@@ -169,6 +174,7 @@ def test_a_bumper_hit_stops(bench: Bench) -> None:
     bench.robot.slots[33] |= 4
     with pytest.raises(BumperHit, match="vm: bumper 2"), robot:
         robot.drive(translation_in_s=5)
+    # One st by the bumper, one when the block ends.
     assert bench.robot.names() == ["conf_tm", "vm", "st", "st"]
 
 
@@ -185,6 +191,7 @@ def test_a_hit_at_the_final_stop_hides_no_earlier_error(bench: Bench) -> None:
 
     with pytest.raises(KeyError):
         run(goes_wrong=True)
+    # The contact is in the reply to the final st.
     with pytest.raises(BumperHit, match="st: bumper 2"):
         run(goes_wrong=False)
 
@@ -214,6 +221,7 @@ def test_is_listening_opens_and_closes_the_line(bench: Bench, monkeypatch: pytes
 def test_a_simulation_has_no_keep_alive_by_default() -> None:
     with connect("sim:thesis_room?max_speed_in_s=5") as robot:
         robot.drive(translation_in_s=20)
+        # 80 ms are enough to reach the limited speed.
         for _ in range(80):
             state = robot.refresh()
         assert state.translation_in_s == 5
@@ -226,12 +234,14 @@ def test_a_simulation_has_no_keep_alive_by_default() -> None:
 @pytest.mark.long
 def test_a_long_wait_outlasts_the_motion_timeout() -> None:
     with connect("sim:thesis_room?tm_s=2&start=-0,0,0,0&max_speed_in_s=5") as robot:
+        # The move of 8 s is longer than the timeout of 2 s.
         robot.move(translation_in=40)
         assert robot.wait_until_still(20).x_in == pytest.approx(40, abs=0.2)
 
 
 def test_a_fast_simulation_has_no_keep_alive_by_default(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
+    # A simulation at full speed: a timeout of 5 simulated seconds would pass between two requests.
     server.slots = {0: 9999}
     monkeypatch.setattr("nclient.transports.stream.TcpStream", lambda *_: MemoryStream(server))
     bench.connect("nserver://lab/1")
@@ -265,6 +275,7 @@ def test_tcp_is_counted_only_with_reconnect(bench: Bench, monkeypatch: pytest.Mo
         robot.refresh()
     assert robot.refresh().speed_factor == 1.0
     assert robot.link is not None
+    # connect_robot and ct twice each, conf_tm twice, and gs.
     assert (robot.link.losses, robot.link.reconnects, robot.link.answers) == (1, 1, 7)
 
 

@@ -21,6 +21,7 @@ LENGTHS = st.floats(-1e5, 1e5)
         ({"translation_in_s": -2.5}, -25),
         ({"translation_m_s": 0.254}, 100),
         ({"translation_in": 0.04}, 0),
+        # 1 m = 39.37 in = 393.7 tenths, rounded.
         ({"translation_m": 1.0}, 394),
         ({"steering_deg": 45}, 450),
         ({"steering_rad": math.pi}, 1800),
@@ -36,6 +37,7 @@ def test_the_keyword_names_the_unit(quantity: dict[str, Any], tenths: int) -> No
 
 @given(LENGTHS)
 def test_metres_are_rounded_to_half_a_tenth_inch(metres: float) -> None:
+    # Half a tenth of an inch in metres, and the rounding of floats.
     assert abs(tenths_of(x_m=metres) / 10 * 0.0254 - metres) <= 0.05 * 0.0254 * (1 + 1e-9)
 
 

@@ -36,6 +36,7 @@ def test_url_parts_need_two_slashes_and_a_port_number() -> None:
         ("sim:w?record=a", "sim:w"),
         ("sim:w", "sim:w"),
         ("sim:w?", "sim:w?"),
+        # %64 is "d": an escaped name must be removed, too.
         ("sim:w?seed=4&recor%64=a", "sim:w?seed=4"),
         ("sim:w?start=1,2,0,0", "sim:w?start=1,2,0,0"),
     ],
@@ -59,6 +60,7 @@ def test_unknown_options_are_ignored_only_on_request() -> None:
         (url.seconds_or_zero, "2", 2.0, "inf", "0 for none"),
         (url.speed, "8", 8.0, "fast", "a number above 0"),
         (url.count, "2", 2, "-2", "a whole number"),
+        # A superscript digit is a digit for str.isdigit, and no number for int.
         (url.count, "0", 0, "²", "a whole number"),
         (url.baud, "38400", 38400, "0", "bits a second"),
         (url.motion_timeout, "0", 0, "1", "2 to 255, or 0"),

@@ -26,6 +26,7 @@ def test_bumpers_around_the_body(body: Body, count: int) -> None:
     )
 
 
+# The data sheets have metres, the models inches.
 @pytest.mark.parametrize(("body", "metres"), [(N150, 0.247), (N200, 0.229)], ids=str)
 def test_radii_are_the_metres_of_the_data_sheet(body: Body, metres: float) -> None:
     assert body.radius_in * 0.0254 == pytest.approx(metres, abs=5e-4)

@@ -10,6 +10,7 @@ import pytest
 from nclient.errors import WorldFileError
 from worlds.robots import IDEAL_CALIBRATION, Calibration, Spread, format_calibration, load_calibration
 
+# Numbers with an exact binary form, so that they can be compared without a tolerance.
 OFFSETS = tuple(0.125 * number - 1.0 for number in range(16))
 FOUND = Calibration(
     1.03125, 0.96875, -0.00125, OFFSETS, radians(2.5), Spread(0.001, 0.002, 5e-5, (0.03125,) * 16, radians(0.25))
@@ -34,6 +35,7 @@ def test_calibration_round_trips(tmp_path: Path) -> None:
     assert path.read_text().startswith("# of mine\n# in May\n[[model]]\n")
 
 
+# The calibration of a model is that of its own table, and not of a table before it.
 def test_missing_keys_are_ideal(tmp_path: Path) -> None:
     text = '[[model]]\nname = "n200"\n[[model]]\nname = "n150"\nradius_in = 9\n[model.odometry]\nway_scale = 1.1\n'
     path = written(tmp_path, text)

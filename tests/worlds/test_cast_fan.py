@@ -19,6 +19,7 @@ NUMBERS = st.integers(-200, 200).map(float)
 WALLS = st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS), max_size=60)
 
 
+# The oracle: each ray against each wall, and what is beyond the reach counts as nothing.
 def cast_singly(x: float, y: float, angles: FloatArray, walls: FloatArray) -> FloatArray:
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     ranges = cast_rays((x, y), directions, walls)[0]
@@ -26,6 +27,8 @@ def cast_singly(x: float, y: float, angles: FloatArray, walls: FloatArray) -> Fl
 
 
 @given(WALLS, NUMBERS, NUMBERS, st.floats(-4.0, 4.0))
+# A wall that lies in the ray's direction, a wall through the origin, walls on both sides of the direction pi, and a
+# wall without a length.
 @example([(10.0, 0.0, 20.0, 0.0)], 0.0, 0.0, 0.0)
 @example([(-10.0, 5.0, 10.0, -5.0)], 0.0, 0.0, 0.0)
 @example([(-150.0, 1.0, 150.0, 1.0), (-150.0, -1.0, 150.0, -1.0)], 0.0, 0.0, 3.1)
@@ -49,6 +52,7 @@ def crowd(count: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("walls", [
+    # Small walls in all directions, and a thousand walls of which each hides the next one.
     crowd(1000),
     np.array([(30.0 + 0.1 * row, -150.0, 30.0 + 0.1 * row, 150.0) for row in range(1000)]),
 ], ids=["crowd", "one behind another"])  # fmt: skip
@@ -65,6 +69,7 @@ def test_pairs_of_a_fan_are_few(walls: FloatArray, monkeypatch: pytest.MonkeyPat
     expected = cast_singly(0.0, 0.0, angles, walls)
     monkeypatch.setattr(raycast_arrays, "_meet", counted)
     np.testing.assert_allclose(cast_fan(0.0, 0.0, angles, walls, REACH_IN), expected, atol=1e-6)
+    # Fewer than a tenth of all pairs of a wall and a ray are computed.
     assert pairs < 0.1 * len(walls) * len(angles)
 
 
@@ -72,6 +77,7 @@ def test_walls_near_a_point_include_all_in_reach() -> None:
     walls = crowd(300)
     near = near_walls(50.0, 20.0, 40.0, walls)
     assert len(near) < len(walls)
+    # A ray that reaches nothing within 40 in may differ: only walls within that distance were selected.
     for angle in np.linspace(0.0, 6.28, 100):
         ray = (50.0, 20.0), (cos(angle), sin(angle))
         everywhere, selected = cast_rays(*ray, walls)[0], cast_rays(*ray, near)[0]

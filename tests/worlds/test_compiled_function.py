@@ -51,9 +51,11 @@ def test_enough_calls_load_what_is_on_disk(function: Loadable, is_on_disk: bool)
         mark(function)
     for _ in range(CALLS_BEFORE_LOADING - 1):
         function.count_calls()
+    # Below this number of calls the interpreted function is faster than loading the compiled one.
     assert function.loads == 0
     for _ in range(CALLS_BEFORE_LOADING):
         function.count_calls()
+    # Loading later compiles nothing: only what an earlier run has stored is loaded.
     assert function.loads == is_on_disk
 
 
@@ -63,6 +65,7 @@ def test_an_event_loop_never_loads_later(function: Loadable, is_used: bool, is_o
     if is_on_disk:
         mark(function)
     function.prepare(is_used)
+    # Compiling takes seconds, during which an event loop would not serve its clients.
     for _ in range(2 * CALLS_BEFORE_LOADING):
         function.count_calls()
     assert function.loads == loads
@@ -86,6 +89,7 @@ def test_a_compiled_function_is_marked_and_gives_the_same(
 ) -> None:
     pytest.importorskip("numba")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    # The second function finds the first one's code on disk: no second message.
     for times in (1, 1):
         function = CompiledFunction(double, sources, lambda: (1.0,))
         assert function.load()
@@ -103,6 +107,7 @@ def test_without_numba_a_function_stays_plain(monkeypatch: pytest.MonkeyPatch) -
             raise ImportError(name)
         return found(name, *rest, **more)
 
+    # As if numba were not installed.
     monkeypatch.setattr(builtins, "__import__", without)
     function = CompiledFunction(double, sources, lambda: (1.0,))
     assert not function.load()

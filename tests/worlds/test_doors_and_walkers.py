@@ -37,6 +37,7 @@ def test_doors_and_walkers_have_units_and_defaults() -> None:
     world = halves(DOOR + WALKER + 'speed_m = 0.762\nradius_cm = 12.7\nclosed = true\nname = "Ada"\n' + WALKER)
     assert world.doors == (Door("gate", ((100.0, 30.0), (100.0, 70.0))),)
     first, second = world.walkers
+    # 50.8 cm = 20 in, 355.6 cm = 140 in, 127 cm = 50 in.
     np.testing.assert_allclose(first.points_in, [(20, 50), (140, 50)])
     assert (first.speed_in_s, first.radius_in) == pytest.approx((30.0, 5.0))
     assert (first.name, first.is_closed) == ("Ada", True)
@@ -46,6 +47,7 @@ def test_doors_and_walkers_have_units_and_defaults() -> None:
 def test_closed_doors_are_walls_and_open_ones_nothing() -> None:
     closed = halves(DOOR)
     opened = halves(DOOR + "open = true\n")
+    # From x = 30 to the door at 100, or through it to the wall at 200.
     for world, range_in in ((closed, 70.0), (opened, 170.0)):
         assert cast_ray(30.0, 50.0, 1.0, 0.0, world.walls)[0] == pytest.approx(range_in)
     assert len(closed.fixed_walls) == len(opened.fixed_walls) == len(opened.walls)
@@ -54,6 +56,7 @@ def test_closed_doors_are_walls_and_open_ones_nothing() -> None:
     # Rows of obstacles do not depend on doors.
     thing = Polygon(((10.0, 10.0), (20.0, 10.0), (20.0, 20.0)))
     for world in (closed.with_obstacles([thing]), replace(closed, obstacles=(thing,))):
+        # Nine rows of walls and obstacles come first; the row of the closed door is the last one.
         np.testing.assert_array_equal(world.walls[:9], replace(opened, obstacles=(thing,)).walls)
         np.testing.assert_array_equal(world.walls[9], [100, 30, 100, 70])
         np.testing.assert_array_equal(world.with_obstacles(()).walls, closed.walls)
@@ -72,6 +75,7 @@ def test_written_world_is_the_same(name: str) -> None:
 @pytest.mark.long
 def test_space_behind_a_closed_door_is_not_closed_off() -> None:
     assert validate_world(halves(DOOR), 9.0) == []
+    # The same line as a fixed wall closes off the half without a start.
     assert validate_world(halves(DOOR.replace('[[door]]\nname = "gate"', "[[wall]]")), 9.0) != []
 
 
@@ -88,6 +92,8 @@ def test_blocked_routes_are_written_as_comments() -> None:
         (DOOR.replace("[100, 70]]", "[100, 70], [120, 70]]"), "door.0..points_in: expected the two ends"),
         (DOOR.replace("[100, 70]", "[100, 30]"), "the same point"),
         (DOOR + DOOR, "used by an earlier door"), (DOOR.replace('"gate"', '""'), "door.0..name"),
+        # The route is 20 in from the nearest wall, less than a radius of 31 in; 609.6 cm are 240 in, outside the
+        # room.
         (WALKER + "speed_m = 0", "more than 0"), (WALKER + "radius_in = 31", "clear of walls"),
         (WALKER.replace("355.6, 127", "355.6, 50"), "clear of walls"),
         (WALKER.replace("355.6", "609.6"), "clear of walls"),

@@ -62,6 +62,7 @@ def test_n150_fits_at_starts_and_along_paths(name: str) -> None:
         assert (path.start.x_in, path.start.y_in) == path.points_in[0]
         for first, second in zip(path.points_in, path.points_in[1:], strict=False):
             legs = np.linspace(first, second, 200)
+            # 200 points on each leg of a path: none is nearer to a wall than the robot's radius.
             assert nearest_points(legs, world.walls)[1].min() > N150.radius_in
 
 
@@ -69,6 +70,7 @@ def test_thesis_room_is_290_cm_square_with_its_figures() -> None:
     room = load_world("thesis_room")
     assert room.fixed_walls.tolist() == room.walls.tolist()
     np.testing.assert_allclose(lengths(room.walls) * 2.54, 290.0, atol=0.01)
+    # The origin, where the paths begin, is 12 in from two walls.
     assert float(room.walls.min()) == -12.0
     assert {figure: path.points_in for figure, path in room.paths.items()} == dict.fromkeys(
         ("5.2", "5.4", "5.6"), ((0.0, 0.0), (60.0, 40.0))
@@ -158,6 +160,7 @@ def test_walls_alone_or_obstacles_alone_are_a_world() -> None:
 def test_a_length_is_the_same_in_every_unit(inches: float, unit: tuple[str, float]) -> None:
     side = inches * unit[1]
     world = parse_world(f"[[room]]\ncorners_{unit[0]} = [[0, 0], [{side!r}, 0], [0, {side!r}]]", "r.toml", "r")
+    # The second wall leads from (s, 0) to (0, s): the ray along the diagonal meets it at s / sqrt(2).
     diagonal, _ = cast_rays((0.0, 0.0), (2**-0.5, 2**-0.5), world.walls[1:2])
     assert float(diagonal) == pytest.approx(inches / 2**0.5)
 
@@ -304,6 +307,7 @@ def test_two_paths_cannot_share_a_key(key: str) -> None:
 def test_invalid_toml_is_reported_with_its_line() -> None:
     assert "is no TOML: " in complaint(ROOM + "[[wall\n")
     assert "line 3" in complaint(ROOM + "[[wall\n")
+    # As deep as this the parser exceeds the recursion limit; a number of 5001 digits exceeds that of int().
     assert complaint("x = " + 5000 * "[") == "is no TOML: nested too deeply"
     assert "is no TOML: " in complaint("x = 1" + 5000 * "0")
 
@@ -317,6 +321,7 @@ def outcome(text: str) -> str:
 
 
 @given(st.text(max_size=200))
+# Any other exception fails the test: a file can only be a world or a WorldFileError.
 def test_random_text_is_a_world_or_a_file_error(text: str) -> None:
     assert outcome(text).startswith(("x.toml: ", "World("))
 
@@ -345,6 +350,7 @@ def test_random_table_is_a_world_or_a_file_error(kind: str, table: dict[str, obj
 
 def test_a_file_anywhere_is_read_by_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "attic.toml"
+    # With a byte order mark and the line ends of Windows.
     file.write_text("\ufeff" + ROOM.replace("\n", "\r\n"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     for spelling in (file, str(file), "attic.toml", "./attic.toml"):
@@ -355,6 +361,7 @@ def test_existing_path_is_read_and_bare_name_is_shipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "worlds").mkdir()
+    # A file and a folder in the current folder with names of shipped worlds.
     (tmp_path / "worlds" / "thesis_room.toml").write_text("name = 'mine'\n" + ROOM)
     (tmp_path / "thesis_room").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -384,6 +391,7 @@ def test_a_world_that_is_nowhere_is_reported_which_there_are(name: str, says: st
 def test_a_directory_and_a_pipe_are_no_world_files(tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match="found a directory"):
         load_world(tmp_path)
+    # Reading a FIFO without a writer would wait without end.
     os.mkfifo(tmp_path / "pipe.toml")
     with pytest.raises(WorldFileError, match=r"pipe\.toml: .*regular file"):
         load_world(tmp_path / "pipe.toml")

@@ -33,6 +33,7 @@ def test_every_world_that_is_shipped_comes_back(name: str) -> None:
 
 def test_unicode_names_and_exact_numbers_round_trip() -> None:
     name = 'a "room" \\ of\n\ttwo \x7f lines ü 🤖'
+    # Numbers without a short decimal form must come back exactly.
     room = Polygon(((0.1, -7.0), (1 / 3 + 90, -7.0), (90.0, 1e2), (0.0, 100.0)), name)
     world = World("w", "Über 🤖", (room,), np.array([[10.0, 10.0, 20.0, 1 / 7]]), starts=(StartPose(0.0, 0.0),))
     again = parse_world(format_world(world), "again.toml", "again")
@@ -52,6 +53,7 @@ def test_blocked_starts_and_paths_are_left_out_of_file() -> None:
         "short": Path("short", "", starts[0], ((10.0, 10.0), (20.0, 10.0))),
         "5.1": Path("long", "5.1", starts[1], ((50.0, 50.0), (60.0, 60.0))),
     }
+    # The obstacle stands on the first start, and on the path that begins there.
     thing = Polygon(((9.0, 9.0), (11.0, 9.0), (11.0, 11.0)))
     text = format_world(World("w", "", (room,), obstacles=(thing,), starts=starts, paths=paths))
     again = parse_world(text, "again.toml", "again")
@@ -85,6 +87,7 @@ def test_measured_walls_keep_their_accuracy() -> None:
     assert sorted(again.accuracies) == [1, 2]
     assert again.accuracies[1] == pytest.approx(accuracies[0])
     assert again.accuracies[2] == pytest.approx(accuracies[1])
+    # 2.54 cm = 1 in.
     in_cm = "[[wall]]\npoints_in = [[0, 0], [9, 0], [9, 9]]\noffset_std_cm = 2.54\n[[start]]\nx_in = 5\ny_in = 5\n"
     for without in ("angle_std_deg = 1", "measured_m = 2"):
         with pytest.raises(WorldFileError, match=r"wall\[0\]\.offset_std_in"):

@@ -48,6 +48,7 @@ def test_lengths_and_normals(first: Pair, second: Pair) -> None:
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     assert normal @ along == pytest.approx(0.0, abs=1e-9)
     # To the left.
+    # The cross product of direction and normal is positive.
     assert along[0] * normal[1] - along[1] * normal[0] > 0.0
 
 
@@ -83,6 +84,7 @@ def _winding(here: Pair, corners: list[tuple[int, int]]) -> int:
     total = 0.0
     for (x1, y1), (x2, y2) in zip(corners, corners[1:] + corners[:1], strict=True):
         turn = atan2(y2 - here[1], x2 - here[0]) - atan2(y1 - here[1], x1 - here[0])
+        # Each angle between -180 and 180 degrees: the direction in which the edge is seen to turn.
         total += (turn + pi) % tau - pi
     return round(total / tau)
 
@@ -107,6 +109,7 @@ def test_inside_of_several_polygons_for_many_points() -> None:
 def test_the_area_of_a_regular_polygon_far_from_the_origin(count: int) -> None:
     turns = np.arange(count) * tau / count
     corners = 5.0 * np.stack((np.cos(turns), np.sin(turns)), axis=-1) + 1e4
+    # n triangles with two sides of 5 and the angle 2 pi / n between them; 1e4 is far compared with their size.
     expected = count / 2 * 25.0 * sin(tau / count)
     assert area(corners) == pytest.approx(expected, rel=1e-9)
     assert area(corners[::-1]) == pytest.approx(-expected, rel=1e-9)
@@ -116,6 +119,7 @@ def _cross(one: list[int], other: list[int]) -> bool:
     """Return True if two segments cross between their ends: the meeting of their lines, in fractions."""
     ex, ey, fx, fy = one[2] - one[0], one[3] - one[1], other[2] - other[0], other[3] - other[1]
     determinant = ex * fy - ey * fx
+    # Parallel segments do not cross between their ends.
     if determinant == 0:
         return False
     x, y = other[0] - one[0], other[1] - one[1]
@@ -127,6 +131,7 @@ def _cross(one: list[int], other: list[int]) -> bool:
 def test_the_first_two_edges_that_cross_are_found(corners: list[tuple[int, int]]) -> None:
     edges = polygon_segments(corners)
     rows = edges.astype(int).tolist()
+    # The oracle computes all pairs in fractions, without rounding.
     pairs = [pair for pair in combinations(range(len(rows)), 2) if _cross(rows[pair[0]], rows[pair[1]])]
     assert crossing(edges) == (pairs[0] if pairs else None)
 

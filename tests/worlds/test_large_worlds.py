@@ -46,6 +46,7 @@ def walls(rng: np.random.Generator, count: int) -> FloatArray:
     along = rng.normal(0.0, 1.0, (count, 2)) * 10.0 ** rng.uniform(-1.0, 2.7, (count, 1))
     along[rng.uniform(size=(count, 2)) < 0.2] = 0.0
     found = np.concatenate((first, first + along), axis=1)
+    # Half of the walls begin where another one ends.
     found[1 : count // 2, :2] = found[: count // 2 - 1, 2:]
     return found
 
@@ -82,6 +83,7 @@ def test_candidate_pairs_contain_all_that_come_near(seed: int, count: int, reach
         for pair in zip(one.tolist(), other.tolist(), strict=True)
     }
     assert all(one < other for one, other in found)
+    # The oracle: the distances of all ends to all walls.
     far = nearest_points(segments.reshape(-1, 2), segments)[1].reshape(count, 2, count).min(axis=1)
     near = {(one, other) for one, other in np.argwhere(np.minimum(far, far.T) <= reach_in).tolist() if one < other}
     assert near | crossed_pairs(segments) <= found
@@ -91,6 +93,7 @@ def test_candidate_pairs_contain_all_that_come_near(seed: int, count: int, reach
 @given(seeds, st.integers(65, 200))
 def test_crossing_of_many_edges_agrees_with_all_pairs(seed: int, count: int) -> None:
     segments = walls(np.random.default_rng(seed), count)
+    # Shorter segments, so that some sets of them have no crossing at all.
     segments[:, 2:] = segments[:, :2] + 0.15 * (segments[:, 2:] - segments[:, :2])
     pairs = crossed_pairs(segments)
     found = crossing(segments)
@@ -102,6 +105,7 @@ def test_crossing_of_many_edges_agrees_with_all_pairs(seed: int, count: int) -> 
 def test_distances_in_blocks_equal_those_at_once_to_the_bit(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     segments, points = walls(rng, 200), rng.normal(0.0, 600.0, (count, 2))
+    # In blocks of neighbouring points, as the function groups them.
     points = points[np.lexsort(points.T // 100.0)]
     assert (nearest_distances(points, segments) == nearest_points(points, segments)[1].min(axis=-1)).all()
 
@@ -121,6 +125,7 @@ def test_inside_in_blocks_equals_each_point_alone(seed: int) -> None:
 @pytest.mark.long
 def test_edges_that_cross_in_a_large_outline_are_named() -> None:
     corners = star(3000)
+    # Two corners that are exchanged make two edges cross.
     corners[10], corners[11] = corners[11], corners[10]
     with pytest.raises(WorldFileError, match=r"room\[0\].corners_in.*cross"):
         parse_world(text_of(corners), "star.toml", "star")

@@ -53,6 +53,7 @@ def bounds(world: World) -> list[float]:
 def test_ros_map_becomes_a_room(tmp_path: Path) -> None:
     found = read_map_file(ros_map(tmp_path))
     # The inner 18 x 8 pixels, from the origin at the lower left corner of the image.
+    # 18 x 8 pixels of 0.1 m from (1.0, 2.0), without the border of one pixel.
     assert bounds(found.world) == pytest.approx([1.1, 2.1, 2.9, 2.9], abs=1e-5)
     assert len(found.world.rooms) == 1
     assert found.open_in == 0.0
@@ -62,6 +63,7 @@ def test_ros_map_becomes_a_room(tmp_path: Path) -> None:
 
 def test_ros_map_may_be_turned(tmp_path: Path) -> None:
     found = read_map_file(ros_map(tmp_path, origin=[0.0, 0.0, 0.5 * pi]))
+    # Turned by 90 degrees about the origin: x becomes y, and y becomes -x.
     assert bounds(found.world) == pytest.approx([-0.9, 0.1, -0.1, 1.9], abs=1e-5)
 
 
@@ -73,6 +75,7 @@ def test_thresholds_negation_and_raw_mode(tmp_path: Path) -> None:
     raw = read_map_file(ros_map(tmp_path, mode="raw"), ImportSettings(close_open_ends=True)).world
     assert bounds(raw) == pytest.approx([1.0, 2.0, 3.0, 3.0], abs=1e-5)
     with pytest.raises(MapFileError, match="no walls"):
+        # With a threshold of 0 no cell is free.
         read_map_file(ros_map(tmp_path, free_thresh=0.0))
 
 
@@ -107,9 +110,11 @@ def test_transparent_pixels_are_unknown(tmp_path: Path) -> None:
     pixels = np.zeros((10, 20, 4), dtype=np.uint8)
     pixels[..., 3] = 255
     pixels[1:-1, 1:-1] = 255
+    # Columns from 15 on are transparent.
     pixels[:, 15:] = 0
     Image.fromarray(pixels).save(tmp_path / "plan.png")
     found = read_map_file(tmp_path / "plan.png", ImportSettings(cell_in=1.0))
+    # The open side is 8 pixels high, and each of its ends may move by a pixel.
     assert found.open_in == pytest.approx(6.0, abs=2.0)
     assert not found.world.rooms
 
@@ -126,11 +131,13 @@ def test_images_and_files_have_a_largest_size(tmp_path: Path, monkeypatch: pytes
 
 def carmen(width: int = 20, height: int = 10, *, cells: bytes | None = None) -> bytes:
     """Return a CARMEN map of a box: cells of 0.1 m, probabilities, unknown outside."""
+    # Unknown outside, a wall of one cell, free inside; the cells are stored column by column.
     values = np.full((abs(width), height), -1.0, dtype="<f4")
     values[2:-2, 2:-2] = 0.95
     values[3:-3, 3:-3] = 0.01
     body = b"GRIDMAP   " + struct.pack("<iif", width, height, 0.1) + (values.tobytes() if cells is None else cells)
     creator = b"CREATOR   somebody"
+    # Chunks of a type, a length and data: 32 is the creator, 1 is the grid.
     chunks = b"".join(bytes([kind]) + struct.pack("<i", len(part)) + part for kind, part in ((32, creator), (1, body)))
     return b"# header\n" + b"CARMENMAPFILEv020" + chunks
 
@@ -140,6 +147,7 @@ def test_carmen_map_becomes_a_room(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(gzip.compress(carmen()) if name.endswith("gz") else carmen())
     found = read_map_file(path)
+    # Free cells from 3 to 17 and from 3 to 7, of 0.1 m.
     assert bounds(found.world) == pytest.approx([0.3, 0.3, 1.7, 0.7], abs=1e-5)
     assert found.world.name == "box"
 
@@ -168,6 +176,7 @@ def test_maps_of_real_buildings(name: str, size_m: tuple[float, float]) -> None:
     assert found.world.clearance(start.x_in, start.y_in) > 1.0 * IN_PER_M
 
 
+# A rectangle from (100, 100) to (2900, 1900) with y downwards, a line and a circle.
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" {size}>
 <g transform="translate(100,100)"><rect x="0" y="0" width="2800" height="1800"/></g>
 <line x1="1500" y1="100" x2="1500" y2="900"/><circle cx="2200" cy="1200" r="150"/></svg>"""
@@ -175,6 +184,7 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" {size}>
 
 @pytest.mark.parametrize(
     ("size", "unit_m"),
+    # 1 unit is 1 mm; 2 mm; a pixel of 1/96 in.
     [('width="3000mm" height="2000mm" viewBox="0 0 3000 2000"', 0.001), ('width="6m" viewBox="0 0 3000 2000"', 0.002),
      ("", 0.0254 / 96.0)],
 )  # fmt: skip
@@ -228,6 +238,7 @@ def test_dxf_drawing_with_blocks(tmp_path: Path) -> None:
     # The text is no wall.
     assert bounds(world) == pytest.approx([0, 0, 4, 3], abs=1e-5)
     # A corner of the post, turned by its block reference.
+    # The post's corner (0.2, 0.2), turned by 90 degrees to (-0.2, 0.2), and moved by (1, 1).
     corner = np.array([[0.8, 1.2]]) * IN_PER_M
     assert nearest_points(corner, world.walls)[1].min() < 1e-3
 
@@ -237,6 +248,7 @@ def test_dxf_layers_and_units(tmp_path: Path) -> None:
     path = dxf(tmp_path / "plan.dxf", "FT")
     world = read_map_file(path, ImportSettings(layers=("walls",))).world
     assert len(world.walls) == 4
+    # 4 x 3 feet.
     assert np.ptp(world.walls.reshape(-1, 2), axis=0) == pytest.approx([48.0, 36.0], abs=1e-3)
     assert np.ptp(read_map_file(path, ImportSettings(unit_in=2.0)).world.walls[:, 0]) == pytest.approx(8.0, abs=1e-3)
     with pytest.raises(MapFileError, match="doors"):
@@ -259,7 +271,9 @@ def test_exported_map_is_read_by_other_libraries(tmp_path: Path) -> None:
     assert (values["image"], values["resolution"]) == ("room.pgm", 0.05)
     with Image.open(image) as opened:
         pixels = np.asarray(opened)
+    # The array has rows first; the grid has x first.
     assert pixels.shape == grid.cells.shape[::-1]
+    # Occupied, unknown and free, as map_server writes them.
     assert set(np.unique(pixels)) == {0, 205, 254}
     # The pixel of a free place, from the lower left corner.
     x, y = (5.0 * 0.0254 - values["origin"][0]) / 0.05, (5.0 * 0.0254 - values["origin"][1]) / 0.05

@@ -18,6 +18,7 @@ def test_both_orientations_and_closed_outline_are_valid(corners: tuple[Point, ..
 @pytest.mark.parametrize(
     ("corners", "expected"),
     [
+        # The corners of a square in the order of an hourglass.
         ((SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]), "in their order around, found edges 0 and 2 that cross"),
         (((0.0, 0.0), (1.0, 1.0), (3.0, 3.0)), "around some area, found corners on one line"),
         ((SQUARE[1],) * 3, "around some area, found corners on one line"),

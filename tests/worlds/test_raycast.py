@@ -39,6 +39,7 @@ def meeting_exactly(origin: Rational, direction: Rational, wall: Wall) -> Fracti
     if determinant:
         t, u = (x * ey - y * ex) / determinant, (x * dy - y * dx) / determinant
         return t if t >= 0 and 0 <= u <= 1 else None
+    # Parallel: the wall is met only if it lies on the line of the ray, at its nearer end.
     if x * dy != y * dx:
         return None
     ends = sorted(((x * dx + y * dy), ((x + ex) * dx + (y + ey) * dy)))
@@ -123,6 +124,7 @@ def surely_blocks(origin: Rational, direction: Rational, wall: Wall, reach: floa
     t = meeting_exactly(origin, direction, wall)
     if t is None:
         return False
+    # Distances of the wall's ends from the line of the ray: a small one means that the ray grazes an end.
     sides = [
         float(direction[0] * (Fraction(y) - origin[1]) - direction[1] * (Fraction(x) - origin[0]))
         for x, y in (wall[:2], wall[2:])
@@ -157,6 +159,7 @@ def test_no_ray_leaves_a_closed_outline(radii: list[float], centre: Pair, angle:
         (np.cos(bearings), np.sin(bearings)), axis=-1
     )
     outline = polygon_segments(corners)
+    # Rays at each corner, and at the next numbers on both sides of that direction: none may slip between two walls.
     aimed = np.arctan2(corners[:, 1] - centre[1], corners[:, 0] - centre[0])
     every = np.concatenate((aimed, np.nextafter(aimed, 9.0), np.nextafter(aimed, -9.0), [angle]))
 
@@ -171,10 +174,12 @@ def test_no_ray_leaves_a_closed_outline(radii: list[float], centre: Pair, angle:
 
 @pytest.mark.parametrize("far", [0.0, 9.9e4])
 def test_a_shared_corner_far_from_the_origin_does_not_leak(far: float) -> None:
+    # Walls end to end, and rays at the points that two of them share; far from the origin rounding is larger.
     fan = [(far + 100.0, far + y, far + 100.0, far + y + 0.1) for y in np.arange(-50, 50) / 10.0]
     rng = np.random.default_rng(1)
     origins = far + np.stack((rng.uniform(0.0, 50.0, 500), rng.uniform(-4.0, 4.0, 500)), axis=-1)
     corners = np.array(fan)[rng.integers(1, 100, 500), :2]
+    # Unit vectors to the corners.
     directions = (corners - origins) / np.hypot(*(corners - origins).T)[:, np.newaxis]
 
     ranges, _ = cast_rays(origins, directions, fan)
@@ -228,7 +233,9 @@ def test_a_nearly_parallel_wall_is_met_within_its_ends(cast: Cast, grazed: float
 
 
 def test_tolerances_lie_between_rounding_and_robot_units() -> None:
+    # 1e5 in is the size of the largest world: its rounding must be below the tolerances.
     assert 1e5 * np.finfo(float).eps * 10 < min(ON_LINE_IN, ON_WALL_IN)
+    # They must be below 1e-8 in, far below the 1/10 inch of the robots.
     assert max(ON_LINE_IN, ON_WALL_IN) < 1e-6 * 1e-2
 
 
@@ -295,6 +302,7 @@ def test_selected_walls_give_the_same_bits_as_all(walls: int) -> None:
     rng = np.random.default_rng(14)
     corners = np.vstack((SQUARE, rng.uniform(0.0, 10.0, (60, 4))))[:walls]
     places = rng.uniform(0.0, 10.0, (40, 2)).tolist()
+    # Corners and a point on a wall among the origins.
     places[::8] = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0), (5.0, 0.0)]
     angles = rng.uniform(0.0, tau, 40).tolist()
     angles[::4] = [0.0, pi / 2, pi, 1.5 * pi, 0.0] * 2
@@ -304,6 +312,7 @@ def test_selected_walls_give_the_same_bits_as_all(walls: int) -> None:
     ranges = [distance for distance, _ in found]
     for count in (1, 2, 3, 16, 40):
         assert ranges == [each for at in range(0, 40, count) for each in cast_each(rays[at : at + count], corners)]
+    # Starts on a wall read 0 as soon as there is a wall; fewer than four walls of the square leave gaps.
     assert (0.0 in ranges) == (walls > 0)
     assert (inf in ranges) == (walls < 4)
 
@@ -315,6 +324,7 @@ def test_block_size_does_not_change_result(monkeypatch: pytest.MonkeyPatch) -> N
     walls = rng.uniform(0.0, 10.0, (7, 4))
     whole_ranges, whole_rows = cast_rays(origins, directions, walls)
 
+    # Smaller blocks than the 707 pairs of 101 rays and 7 walls.
     monkeypatch.setattr(raycast_arrays, "_BLOCK", 70)
     ranges, rows = cast_rays(origins, directions, walls)
 
@@ -342,6 +352,7 @@ def test_disc_range_agrees_with_polygon_of_many_corners(discs: list[tuple[float,
     direction = cos(angle), sin(angle)
     for x, y, radius in discs:
         assume(hypot(x, y) > radius + 0.1)
+        # A ray that grazes a disc may pass between two corners of the polygon.
         assume(abs(abs(direction[0] * y - direction[1] * x) - radius) > 0.1)
     rims = np.concatenate([polygon_segments(many_cornered(disc)) for disc in discs])
     expected, _ = cast_rays((0.0, 0.0), direction, rims)

@@ -33,6 +33,7 @@ def test_maximum_file_length(tmp_path: Path) -> None:
 def test_every_reader_of_such_files_stops_there(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "long.toml"
     with file.open("wb") as hole:
+        # A sparse file: large, without using the disk.
         hole.truncate(50 * MAX_BYTES)
     with pytest.raises(WorldFileError, match=rf"long\.toml: .*longer than {MAX_BYTES}"):
         READERS[kind](file)
@@ -42,6 +43,7 @@ def test_byte_order_mark_is_skipped_and_bad_bytes_are_named(tmp_path: Path) -> N
     file = tmp_path / "x.toml"
     file.write_bytes(b"\xef\xbb\xbfname = 'x'")
     assert read_text(file) == "name = 'x'"
+    # 0xe4 is "ä" in Latin-1, and begins no character in UTF-8 here.
     file.write_bytes(b"name = '\xe4'")
     with pytest.raises(WorldFileError, match=r"x\.toml: .*UTF-8.* 8: "):
         read_text(file)

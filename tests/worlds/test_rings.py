@@ -30,6 +30,7 @@ def test_eight_sonars_of_a_corridor() -> None:
     ring = load_bodies(MODELS / "corridor8.toml")["corridor8"].ring
     assert (ring.count, ring.angles_rad[0], ring.half_cone_rad) == (8, radians(-90.0), radians(15.0))
     assert (ring.firing[0], ring.firing[-1], ring.interval_s) == ((0, 7), (4,), 0.06)
+    # Three pairs and two single sonars: five steps of 0.06 s.
     assert ring.round_s == pytest.approx(0.3)
     assert ring.radius_in == pytest.approx(9.055, abs=1e-3)
 
@@ -49,6 +50,7 @@ def test_readings_are_rounded_within_the_limits(range_in: float, reading_in: flo
     ("range_in", "reading_in"), [(3.0, 6), (6.4, 6), (6.5, 7), (254.4, 254), (254.6, 255), (inf, 255)]
 )
 def test_a_nomad_reads_whole_inches(range_in: float, reading_in: int) -> None:
+    # From 6 in to 255 in, which also means "no echo".
     assert N150.ring.reading(range_in) == reading_in
 
 
@@ -57,6 +59,8 @@ def test_mounts_are_where_they_were_given(tmp_path: Path) -> None:
     ring = body(tmp_path, f"angles_deg = [0, -30, 180]\nmounts_in = {[list(mount) for mount in mounts]}").ring
     assert [ring.mount_in(sonar) for sonar in range(3)] == [pytest.approx(mount) for mount in mounts]
     # No beam starts in front of its sonar.
+    # The third mount is 6 in from the centre along its beam: with a larger radius the beam would start in front of
+    # it.
     assert ring.radius_in == pytest.approx(6.0)
     assert all(forwards >= 0.0 for forwards, _ in ring.shifts_in)
 
@@ -65,6 +69,7 @@ def test_mounts_on_a_circle_are_no_shifts(tmp_path: Path) -> None:
     angles = [0.0, 40.0, 200.0]
     mounts = [[23.0 * cos(radians(angle)), 23.0 * sin(radians(angle))] for angle in angles]
     ring = body(tmp_path, f"angles_deg = {angles}\nmounts_cm = {mounts}").ring
+    # All mounts lie on a circle in the direction of their angles: a radius says it all.
     assert not ring.shifts_in
     assert ring.radius_in == pytest.approx(23.0 / 2.54)
     assert hypot(*ring.mount_in(1)) == pytest.approx(23.0 / 2.54)

@@ -25,6 +25,7 @@ def room(*walls: tuple[float, float, float, float]) -> World:
 
 
 def test_walls_on_one_line_become_one() -> None:
+    # Three walls on y = 50 that overlap or nearly touch, one behind a gap of 10 in, one at right angles.
     world = room((50, 50, 70, 50), (100, 50, 60, 50), (100.1, 50, 120, 50), (130, 50, 140, 50), (60, 60, 60, 80))
     walls = simplify_world(world, 0.5).inner_walls.tolist()
     assert sorted(sorted((wall[:2], wall[2:])) for wall in walls) == [
@@ -38,11 +39,13 @@ def test_connected_line_loses_nearly_straight_corners() -> None:
     bent = [(50.0, 50.0), (60.0, 50.1), (70.0, 49.9), (80.0, 50.0), (80.0, 70.0), (79.9, 80.0)]
     walls = [(*one, *other) for one, other in pairwise(bent)]
     simpler = simplify_world(room(*walls), 0.5).inner_walls
+    # Corners within 0.1 in of a line vanish; the right angle stays.
     assert len(simpler) == 2
     assert hausdorff_distance_in(np.array(walls), simpler) < 0.5
 
 
 def test_walls_that_meet_in_threes_stay_apart() -> None:
+    # Removing a corner where three walls meet would open a gap.
     walls = [(50, 50, 60, 50), (60, 50, 70, 60), (60, 50, 70, 40)]
     assert len(simplify_world(room(*walls), 0.5).inner_walls) == 3
 
@@ -56,6 +59,7 @@ def test_outline_loses_nearly_straight_corners() -> None:
 
 
 def test_outline_that_would_vanish_stays() -> None:
+    # All corners lie within the tolerance of one line: without them no outline would remain.
     sliver = Polygon(((0.0, 0.0), (50.0, 0.1), (100.0, 0.0), (50.0, -0.1)))
     (saved,) = simplify_world(World("sliver", obstacles=(sliver,)), 1.0).obstacles
     assert saved is sliver
@@ -93,6 +97,7 @@ def test_nor_does_an_outline(radii: list[float], far_in: float) -> None:
 
 
 def test_how_far_walls_are_apart_is_seen_both_paths() -> None:
+    # From the end at 10 to the end at 4: the distance of sets must not depend on their order.
     one, other = np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([[0.0, 0.0, 4.0, 0.0]])
     assert hausdorff_distance_in(one, other) == hausdorff_distance_in(other, one) == pytest.approx(6.0)
 

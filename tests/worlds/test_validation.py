@@ -33,6 +33,7 @@ def test_wall_end_short_of_wall_is_a_gap() -> None:
     assert found.kind == "gap"
     assert found.place_in == (100.0, 97.5)
     assert "stops 2.5 in short of (100, 100)" in found.words
+    # 40 in are a door, and walls that meet have no gap.
     assert kinds(room((100.0, 0.0, 100.0, 60.0))) == []
     assert kinds(room((100.0, 0.0, 100.0, 60.0), (100.0, 60.0, 120.0, 60.0))) == []
 
@@ -41,11 +42,13 @@ def test_gap_closes_off_space_behind_it() -> None:
     gap, behind = validate_world(room((100.0, 0.0, 100.0, 97.5)), RADIUS_IN)
     assert (gap.kind, behind.kind) == ("gap", "closed off")
     area = float(behind.words.split()[0])
+    # Places of the robot's centre: 9 in away from each wall, on both sides.
     assert area == pytest.approx((200 - 100 - 18) * (100 - 18), rel=0.05)
     assert behind.place_in[0] == pytest.approx(150.0, abs=2.0)
 
 
 def test_a_door_as_wide_as_the_robot_is_a_path() -> None:
+    # 22 in are wider than the robot's 18 in, 17 in are not.
     assert kinds(room((100.0, 0.0, 100.0, 78.0))) == []
     assert kinds(room((100.0, 0.0, 100.0, 83.0))) == ["closed off"]
 
@@ -71,8 +74,10 @@ def test_walls_over_one_another_are_doubled() -> None:
         room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2)), RADIUS_IN, ValidationLimits(gap_in=0.1)
     )
     assert found.kind == "doubled"
+    # The walls overlap from x = 80 to 90.
     assert found.place_in == (85.0, 50.0)
     assert "for 10 in, 0.2 in apart" in found.words
+    # Walls end to end, walls 1 in apart, and walls at right angles are not doubled.
     limits = ValidationLimits(gap_in=0.1)
     assert validate_world(room((50.0, 50.0, 90.0, 50.0), (90.0, 50.0, 130.0, 50.0)), RADIUS_IN, limits) == []
     assert validate_world(room((50.0, 50.0, 90.0, 50.0), (60.0, 51.0, 80.0, 51.0)), RADIUS_IN, limits) == []
@@ -86,6 +91,7 @@ def cupboard(x: float, y: float, width: float, depth: float) -> tuple[tuple[floa
 
 def test_cupboard_at_a_wall_is_no_doubled_wall() -> None:
     limits = ValidationLimits(space_in2=1e9)
+    # A box at a wall shares one side with it: furniture, and no wall that was drawn twice.
     assert validate_world(room(*cupboard(120.0, 0.0, 40.0, 20.0)), RADIUS_IN, limits) == []
     assert validate_world(room(*cupboard(120.0, 80.0, 80.0, 20.0)), RADIUS_IN, limits) == [], "in a corner"
     drawn_twice = room(*cupboard(120.0, 40.0, 40.0, 20.0), *cupboard(120.0, 40.0, 40.0, 20.0))
@@ -101,6 +107,7 @@ def test_crumbs_and_starts_without_room() -> None:
     found = validate_world(world, RADIUS_IN)
     assert [finding.kind for finding in found] == ["crumb", "start"]
     assert "0.2 in long" in found[0].words
+    # 195 is 5 in from the wall at 200, and the radius is 9 in.
     assert "start 1 has 5 in of room" in found[1].words
 
 
@@ -111,6 +118,7 @@ def test_without_a_start_that_fits_all_is_closed_off() -> None:
 def test_wide_world_uses_coarser_grid_up_to_radius() -> None:
     hall = Polygon(((0.0, 0.0), (9000.0, 0.0), (9000.0, 6000.0), (0.0, 6000.0)))
     found = find_free_space(World("hall", rooms=(hall,), starts=(StartPose(30.0, 50.0),)), RADIUS_IN)
+    # A finer grid would have too many cells; a coarser one than the radius would miss gaps.
     assert found.step_in == RADIUS_IN
     assert found.reached.sum() == found.fits.sum() > 100_000
     assert find_free_space(room(), RADIUS_IN, 50.0).step_in == RADIUS_IN
@@ -120,6 +128,7 @@ def test_obstacles_and_the_outside_are_no_space() -> None:
     block = Polygon(((80.0, 20.0), (120.0, 20.0), (120.0, 80.0), (80.0, 80.0)))
     world = World("block", rooms=(OUTLINE,), obstacles=(block,), starts=(StartPose(30.0, 50.0),))
     found = find_free_space(world, RADIUS_IN)
+    # Every 37th cell, against the clearance of the world.
     for i, k in np.argwhere(found.fits).tolist()[::37]:
         assert world.clearance(float(found.xs[i]), float(found.ys[k])) >= RADIUS_IN
     for i, k in np.argwhere(~found.fits).tolist()[::37]:

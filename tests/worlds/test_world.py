@@ -54,6 +54,7 @@ def test_obstacles_change_and_fixed_walls_keep_their_rows() -> None:
     empty = WORLD.with_obstacles([])
     assert empty.walls.tolist() == WORLD.fixed_walls.tolist()
     fuller = WORLD.with_obstacles([*WORLD.obstacles, CRATE.moved(0.0, -25.0)])
+    # Five rows of the room and the inner wall, and four for each crate.
     assert len(fuller.walls) == 5 + 8
     assert fuller.walls[:9].tolist() == WORLD.walls.tolist()
     assert (fuller.name, fuller.starts, fuller.rooms) == (WORLD.name, WORLD.starts, WORLD.rooms)
@@ -75,6 +76,7 @@ def test_a_moved_polygon_retains_its_shape_and_name() -> None:
         (17.0, 5.0, 3.0),
         (20.0, 13.0, 3.0),
         (-5.0, 40.0, -5.0),
+        # Outside the clearance is negative: 3 in to the right and 4 in above a corner are 5 in away.
         (103.0, 84.0, -5.0),
         (50.0, 32.0, -2.0),
         (0.0, 40.0, 0.0),
@@ -112,9 +114,11 @@ def test_clearance_agrees_with_sampled_walls_and_rays(x: float, y: float) -> Non
     # At most 0.1 in apart.
     dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)
     nearest = float(np.hypot(dots[..., 0] - x, dots[..., 1] - y).min())
+    # Dots 0.1 in apart: the nearest one is at most 0.05 in beside the nearest point.
     assert clearance - 1e-9 <= nearest <= hypot(clearance, 0.05) + 1e-9
     turns = np.linspace(0.0, 2.0 * np.pi, 90)
     ranges, _ = cast_rays((x, y), np.stack((np.cos(turns), np.sin(turns)), axis=-1), WORLD.walls)
+    # No ray is shorter than the clearance.
     assert clearance <= ranges.min() + 1e-9
 
 
@@ -156,6 +160,7 @@ def test_proposed_place_is_free(x: float, y: float, radius: float) -> None:
 
 @pytest.mark.parametrize(
     ("x", "y", "near_x", "near_y"),
+    # The robot's radius and a margin away from the wall.
     [(5.0, 60.0, 9.72 + MARGIN_IN, 60.0), (9.5, 60.0, 9.72 + MARGIN_IN, 60.0), (2.0, 79.0, 9.82, 80.0 - 9.82)],
     ids=["off a wall", "off it by little", "out of a corner"],
 )
@@ -222,6 +227,7 @@ def test_changed_obstacles_equal_a_world_built_anew(before: list[int], after: li
         anew = World("test", "", rooms, inner, tuple(squares[number] for number in after))
         assert changed.obstacles == anew.obstacles
         assert not changed.walls.flags.writeable
+        # The internal arrays, too: queries use them.
         for name in ("walls", "fixed_walls", "_edges", "_firsts"):
             np.testing.assert_array_equal(getattr(changed, name), getattr(anew, name))
         assert world.obstacles == tuple(squares[number] for number in before)
@@ -235,6 +241,7 @@ def test_an_added_obstacle_is_the_only_one_computed(monkeypatch: pytest.MonkeyPa
         computed.append(polygon.name)
         return segments(polygon)
 
+    # A thousand obstacles: a change must not compute all of them again.
     world = World("test", obstacles=tuple(_square(number) for number in range(1000)))
     monkeypatch.setattr(Polygon, "segments", counted)
     world = world.with_obstacles((*world.obstacles, _square(1000)))

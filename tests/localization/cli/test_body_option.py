@@ -14,6 +14,7 @@ from nclient.errors import AddressError
 @pytest.mark.parametrize(("option", "model", "address", "body"), [
     (None, "n200", "sim:thesis_room?robot=n200", "n200"),
     ("n200", "n200", "sim:thesis_room?robot=n200", "n200"),
+    # The address names no model: the one of the connection counts, and an option overrides it.
     (None, "n150", "nserver://host/1", "n150"),
     ("scout", "n150", "nserver://host/1", "scout"),
     ("scout", "scout", "serial:///dev/ttyUSB0?model=scout", "scout"),
@@ -28,6 +29,7 @@ def test_contradicting_models_are_refused(address: str) -> None:
         resolve_robot_model("scout", "n150", address)
 
 
+# NOMAD_ROBOT stands in for an address that is not given.
 def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "sim:?robot=scout")
     with pytest.raises(AddressError):

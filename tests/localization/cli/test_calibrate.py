@@ -14,7 +14,9 @@ from worlds.robots import Calibration, format_calibration, load_calibration
 
 pytestmark = pytest.mark.long
 
+# Less odometry noise than by default: the runs are short, and the simulated wheels are good.
 SMOOTH = "0.01,0.01,0.0003"
+# Random errors of the wheels, small enough that one round determines each systematic error to a tenth.
 SETUP = """
 base = "{base}"
 ramps = true
@@ -25,6 +27,7 @@ alpha3 = 1e-4
 """
 
 
+# From 1.5 to 1.7 in: each sonar must get its own offset.
 OFFSETS_IN = tuple(1.5 + 0.05 * (number % 5) for number in range(16))
 ERRING = Calibration(1.05, 0.95, 0.0015, OFFSETS_IN, radians(4.0))
 OPPOSITE = Calibration(
@@ -47,6 +50,7 @@ def test_calibration_errors_are_found_within_a_tenth(tmp_path: Path, capsys: pyt
     model, setup = files(tmp_path, true, "ideal")
     out = tmp_path / "found.toml"
     address = f"sim:thesis_room?seed=2&setup={setup}&model_file={model}&start=1,-1,2,2"
+    # The stated start is wrong by 0.2 in, 0.3 in and 1 degree: it must not become part of the result.
     words = ["--world", "thesis_room", "--out", str(out), "--start", "0.8,-0.7,1", "--odometry-noise", SMOOTH]
     assert main.main(["calibrate", address, *words, "--speed", "15", "--turn-speed", "45", "--laps", "1"]) == 0
     text = capsys.readouterr().out
@@ -68,6 +72,7 @@ def test_a_real_rings_offsets_and_the_wheels_are_found(tmp_path: Path, capsys: p
     assert main.main(["calibrate", address, *words, "--square", "5,5,80"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["way_scale"] - 1.0 == pytest.approx(0.05, rel=0.1)
+    # With a real ring the turn scale is less certain: four of its own standard deviations.
     assert found["turn_scale"] - 1.0 == pytest.approx(-0.05, abs=4.0 * found["spread"]["turn_scale"])
     assert found["drift_rad_in"] == pytest.approx(0.0015, rel=0.1)
     assert found["offsets_in"] == pytest.approx(true.offsets_in, abs=0.25)
@@ -106,6 +111,7 @@ def test_default_laps_drive_until_precision_is_reached(
     assert "drift" in line
     assert "use more --laps" in line
     assert ": 2 laps in each direction" in out.read_text()
+    # With a requirement that anything fulfils, one round is enough.
     monkeypatch.setattr("localization.cli.calibrate.REQUIRED_PRECISION", 10.0)
     assert main.main(["calibrate", address, *words, "--json"]) == 0
     text = json.loads(capsys.readouterr().out)
@@ -127,6 +133,7 @@ def test_time_limit_ends_run_and_writes_nothing(
 def test_wrong_start_pose_stops_at_wall_with_hint(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # The robot is at (0, 0): from (40, 40) the square would lead elsewhere, and the robot meets a wall.
     assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
     text = capsys.readouterr().out
     assert "the robot presses against something for 5 s" in text
@@ -145,6 +152,7 @@ def test_result_is_printed_if_file_cannot_be_written(capsys: pytest.CaptureFixtu
 
 def calibrated_as_rays(out: Path, side_in: int, *words: str) -> int:
     """Drive around a square with a real ring's cones, taken for rays; return the exit code."""
+    # Cones measure shorter ranges than rays at slanted walls: no calibration explains them.
     quick = ["--laps", "1", "--square", f"5,5,{side_in}", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
     address = "sim:thesis_room?setup=measured&seed=1"
     return main.main(["calibrate", address, "--sonars", "rays", "--out", str(out), *quick, *words])
@@ -170,6 +178,7 @@ def test_misfit_is_no_json(
 
 
 def test_a_square_among_walls_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    # The square of 100 in comes nearer to the walls of the 114 in room than the robot's radius.
     assert main.main(["calibrate", "sim:thesis_room", "--world", "thesis_room", "--square", "0,0,100"]) == 1
     assert "too near to walls" in capsys.readouterr().err
 

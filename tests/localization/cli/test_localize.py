@@ -42,6 +42,7 @@ def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str])
     result = json.loads(capsys.readouterr().out)
     assert result["reached"] == 2
     assert result["rmse_position_in"] < 0.5
+    # The estimate is better than odometry alone: without that a filter that ignores all echoes would pass.
     assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
 
 
@@ -70,6 +71,7 @@ def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.long
+# The encoders start where the start pose says, and not at the origin of the simulation.
 def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?start=20,30,90,45"
     words = ["--map", "thesis_room", "--waypoints", "21,40", "--start", "20.2,29.9,91", "--start-std", "0.3,0.3,2"]
@@ -88,6 +90,7 @@ def test_path_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.long
 def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
+    # One of the two waypoints is the start itself.
     assert localize(NOISY, *TO_GOAL, "--time-limit", "2") == 3
     assert "1 of 2 waypoints reached in 2" in capsys.readouterr().out
 
@@ -149,6 +152,7 @@ def test_unanswered_truth_request_drives_without_truth(
 
     def silent(robot: Robot) -> bool:
         asked.append(robot)
+        # A server that leaves sim_truth without a reply: the client closes the connection.
         robot.disconnect()
         raise ReplyTimeout("sim_truth, with 5 s to answer: silence; the connection was closed")
 
@@ -156,11 +160,13 @@ def test_unanswered_truth_request_drives_without_truth(
     assert localize("sim:", "--map", "thesis_room", "--waypoints", "1,0", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["reached"], result["truth"], result["end_error_in"]) == (1, None, None)
+    # One request, and none for each state of the drive.
     assert len(asked) == 1
 
 
 def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mine = tmp_path / "mine.toml"
+    # Errors of 5 percent in distance and turn, a drift, 1.5 in in each sonar and a turned ring.
     errs = Calibration(1.05, 0.95, 0.002, (1.5,) * 16, 0.05, Spread(0.001, 0.001, 1e-5))
     mine.write_text(format_calibration("n150", errs))
     words = [*TO_GOAL, "--odometry-noise", "0.01,0.01,0.0003", "--json"]
@@ -168,6 +174,7 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
     for calibration in ([], ["--calibration", str(mine)]):
         localize(f"sim:thesis_room?model_file={mine}&step_s=0.1", *words, *calibration, "--time-limit", "40")
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
+    # With the right calibration the error is less than a third of that without it.
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
 
 
@@ -184,6 +191,7 @@ def test_sonar_offsets_are_estimated_while_driving(
         localize(f"sim:thesis_room?setup=noisy&seed=2&model_file={mine}", *words, "--time-limit", "60")
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.5 * ends[0]
+    # Three numbers of the pose and three odometry parameters: the offsets are not saved.
     assert len(json.loads(saved.read_text())["mean"]) == 6
 
 
@@ -193,6 +201,7 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["reached"], result["trust"], len(result["places"])) == (1, "OK", 1)
+    # The start was searched for a part of the time.
     assert 0.0 < result["lost_share"] < 0.9
     assert result["rmse_position_in"] < 0.5
 
@@ -208,6 +217,7 @@ def test_places_that_look_like_the_start_are_listed_beside_its_status(capsys: py
     assert own["share"] > 0.9
     assert own["pose"][0] == pytest.approx(787.4, abs=10.0)
     # Doors are 156 in apart.
+    # All other places are a whole number of door distances away.
     apart = [(other["pose"][0] - own["pose"][0]) / 156.0 for other in others]
     assert len(apart) >= 2
     np.testing.assert_allclose(apart, np.round(apart), atol=0.05)
@@ -222,6 +232,7 @@ def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFix
     assert localize(*asked) == 3
     out = capsys.readouterr().out
     assert "LOST: searching: the start is unknown" in out
+    # A square room looks the same from four places.
     assert "LOST: 4 places look alike, the likeliest with " in out
     assert out.splitlines()[-2].startswith("0 of 1 waypoints reached")
     assert localize(*asked, "--json") == 3
@@ -233,10 +244,12 @@ def test_ambiguous_places_are_reported_without_driving(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(("words", "method"), [
+    # A wide start has a deviation of more than about 12 in or 28 degrees.
     (["--start-std", "13,1,1"], "finder"),
     (["--start-std", "1,1,29"], "finder"),
     (["--start-std", "11,11,28"], "ekf"),
     (["--start-std", "13,1,1", "--method", "ekf"], "ekf"),
+    # A resumed estimate has a deviation of its own.
     (["--start-std", "13,1,1", "--resume", "there.json"], "ekf"),
     (["--start", "unknown"], "finder"),
 ])  # fmt: skip
@@ -304,11 +317,13 @@ def test_invalid_options_name_the_expected_form(
 
 
 @pytest.mark.long
+# Ctrl-C and SIGTERM: both must save and report what there is.
 @pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
 def test_an_interrupted_run_is_saved_and_reported(
     ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
+    # The run is complete when the exception comes, so that there is an estimate to save.
     def interrupted(robot: Robot, _: object, done: Run, *others: object) -> None:
         drive(robot, _, done, *others)
         raise ending()
@@ -317,10 +332,12 @@ def test_an_interrupted_run_is_saved_and_reported(
     monkeypatch.setattr(localization_cli, "_drive", interrupted)
     saved = tmp_path / "saved"
     words = [NOISY, *TO_GOAL, "--time-limit", "1"]
+    # 128 + 2 for SIGINT, 128 + 15 for SIGTERM.
     assert localize(*words, "--save", str(saved)) in (130, 143)
     assert "1 of 2 waypoints reached" in capsys.readouterr().out
     assert saved.exists()
     (tmp_path / "gone").mkdir()
+    # The folder of the file disappears after the check at the start: saving fails at the end.
     monkeypatch.setattr("localization.cli.arguments.check_writable", lambda *_: (tmp_path / "gone").rmdir())
     file = tmp_path / "gone" / "saved"
     assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
@@ -354,6 +371,7 @@ def test_interrupt_before_first_state_prints_nothing(
 
 @pytest.mark.parametrize(("words", "part"), [
     (["thesis_room", "--waypoints", "20,20", "300,0"], "waypoint 300,0"),
+    # A wall of several_walls stands between the two points.
     (["several_walls", "--waypoints", "40,20", "60,20"], "from 40,20 to 60,20"),
     (["several_walls", "--start", "40,20,0", "--waypoints", "60,20"], "from 40,20 to 60,20"),
 ])  # fmt: skip
@@ -407,6 +425,7 @@ def test_the_origin_of_the_start_pose_is_stated(
 def test_encoders_of_a_robot_that_drove_before_are_called_into_question(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # As of a robot that was not started by this command: its encoders may have drifted since.
     monkeypatch.setattr("localization.cli.arguments.is_lockstep", lambda _: False)
     localize(NOISY, "--map", "thesis_room", "--waypoints", "5,0", "--time-limit", "0.2")
     assert "encoders drift" in capsys.readouterr().out
@@ -417,6 +436,7 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not report its setup, where the readings do not decide."""
+    # Neither the address nor the readings show which sonars these are.
     monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     monkeypatch.setattr("localization.cli.arguments.decide_by_readings", lambda sonars, *_: sonars)
     assert localize(NOISY, *TO_GOAL) == 0
@@ -431,6 +451,7 @@ def test_assumed_rays_are_reported_and_refused_on_misfit(
     assert localize(measured, *TO_GOAL, "--sonars", "cones") == 0
     output = capsys.readouterr().out
     assert "taken for" not in output
+    # In the first second there are too few readings for a hint.
     assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
     assert json.loads(capsys.readouterr().out)["hint"] is None, "no hint from few readings"
 
@@ -460,6 +481,7 @@ def test_encoders_of_a_driven_robot_are_wide_and_searched(
     localize(*run)
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("start ("))
     assert "30 in or more since" in line
+    # Encoders that drove 30 in may have drifted; the search covers it.
     assert "method finder" in line
     std_in = float(line.split("±")[1].split()[0])
     assert 4.0 < std_in < 40.0
@@ -469,6 +491,7 @@ def test_encoders_of_a_driven_robot_are_wide_and_searched(
 
 
 def test_a_start_that_nothing_fits_ends_the_run_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    # The robot is not at the stated start: its ranges do not fit there.
     run = ["sim:several_walls?noisy=1&seed=1", "--map", "several_walls", "--start", "30,60,20", "--waypoints", "45,65"]
     assert localize(*run, "--json") == 3
     result = json.loads(capsys.readouterr().out)

@@ -14,6 +14,7 @@ from nclient.cli import main
 from worlds.io import load_world
 from worlds.validate import FreeSpace
 
+# A room with a corner that is not one, two walls that overlap from 55 to 60, and a gap of 3 in to the outline.
 ROOM = """
 [[room]]
 corners_in = [[0, 0], [200, 0], [200, 50.1], [200, 100], [0, 100]]
@@ -39,9 +40,11 @@ def test_check_reports_problems_and_places(room: str, capsys: pytest.CaptureFixt
     assert main.main(["map", "check", room]) == 3
     lines = capsys.readouterr().out.splitlines()
     problems = [line for line in lines if not line.startswith(("alike", "note"))]
+    # The gap at (100, 97), the overlap, and the half that no robot reaches without a door.
     assert [line.split("(")[0].strip() for line in problems] == ["gap", "doubled", "closed off"]
     assert main.main(["map", "check", room, "--gap", "1", "--json"]) == 3
     found = [finding for finding in json.loads(capsys.readouterr().out) if finding["kind"] != "alike"]
+    # A gap of 3 in is wider than --gap 1: it is no mistake of drawing any more.
     assert [finding["kind"] for finding in found] == ["doubled", "closed off"]
     assert found[0]["place_in"] == [100.0, 57.5]
 
@@ -70,6 +73,7 @@ def test_check_notes_places_that_look_alike(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_headings_of_alike_places_are_below_360() -> None:
+    # 6.28 rad and -1.5 rad are shown as 0 and 274 degrees.
     alias = Alias(np.array([1.0, 2.0, -0.001]), (np.array([3.0, 4.0, 6.28]), np.array([5.0, 6.0, -1.5])))
     assert _note(alias).words == "at 0 deg looks like (3, 4) at 0 deg, (5, 6) at 274 deg"
 
@@ -96,6 +100,7 @@ def test_simplify_writes_a_world_with_fewer_walls(
 ) -> None:
     out = tmp_path / "simple.toml"
     assert main.main(["map", "simplify", room, "--tolerance", "0.2", "--out", str(out)]) == 0
+    # The nearly straight corner of the outline, and one of the two walls that overlap.
     assert "7 walls became 5" in capsys.readouterr().out
     assert len(load_world(out).walls) == 5
     assert main.main(["map", "simplify", room, "--out", str(out), "--json"]) == 0
@@ -119,6 +124,7 @@ def test_show_reports_the_bound_and_draws_it(room: str, tmp_path: Path, capsys: 
     assert 0.0 < rays["best_in"] <= rays["median_in"] <= rays["worst_in"] < 0.5
     assert main.main(["map", "show", "thesis_room", "--cell", "9", "--weak", "0.1", "--json"]) == 0
     cones = json.loads(capsys.readouterr().out)
+    # Cones carry less information than rays.
     assert cones["median_in"] > rays["median_in"]
     assert cones["weak_share"] > 0.9
 
@@ -161,6 +167,7 @@ def test_edit_adjusts_a_map_to_taped_lengths(tmp_path: Path, capsys: pytest.Capt
     assert main.main([*words, "--length", "0,0", "0,80", "80"]) == 0
     assert "80 in: 80.00 in the map now" in capsys.readouterr().out
     world = load_world(after)
+    # 100.4 in measured, with a certain tape, against 100 in the map with its own deviations: a weighted mean.
     assert world.inner_walls[0, 2] - world.inner_walls[0, 0] == pytest.approx(100.285, abs=0.005)
     assert world.accuracies[1].offset_std_in < 0.1
     assert main.main([*words, "--json", "--tape-std", "0.01"]) == 0
@@ -178,12 +185,14 @@ def test_edit_names_walls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert load_world(before).wall_names == {}
     assert main.main(["map", "edit", str(after), "--out", str(before), "--label", "50,40", "far"]) == 1
     assert "no inner wall" in capsys.readouterr().err
+    # Nothing to be edited is wrong usage.
     with pytest.raises(SystemExit):
         main.main(["map", "edit", str(after), "--out", str(before)])
 
 
 @pytest.mark.parametrize(
     ("length", "code", "words"),
+    # The tape says 200 in where the map has 100 with a deviation of a tenth.
     [(("0,0", "100,0", "200"), 1, "contradicts"), (("0,0", "100,0", "-1"), 2, "--length 0,0"),
      (("0", "100,0", "100"), 2, "--length 0 "), (("50,50", "100,0", "70"), 1, "no wall ends")],
 )  # fmt: skip

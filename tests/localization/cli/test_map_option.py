@@ -22,10 +22,12 @@ def arguments(option: str | None, address: str | None) -> argparse.Namespace:
 
 
 @pytest.mark.parametrize(("option", "address", "default", "world"), [
+    # The scheme is not case-sensitive, and a path names the same world.
     (None, "sim:thesis_room?noisy=1", "", "thesis_room"),
     (None, "SIM:worlds/several_walls.toml", "", "several_walls"),
     (None, "sim:?seed=3", "", DEFAULT_WORLD),
     ("several_walls", "sim:thesis_room", "empty_room", "several_walls"),
+    # The default of a command is stronger than the simulation of the address.
     (None, "sim:thesis_room", "several_walls", "several_walls"),
     ("several_walls", "nserver://host/1", "", "several_walls"),
 ])  # fmt: skip

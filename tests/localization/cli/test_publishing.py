@@ -42,6 +42,7 @@ def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
 def test_message_of_a_moment() -> None:
     text = build_message(2, a_moment((1, 2, 3)), [(5, 6)])
     assert json.loads(json.dumps(text)) == {
+        # turret 0.65 rad in the encoders' frame; the estimate is turned by 0.1 rad against it.
         "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
         "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
         "echoes": [
@@ -56,6 +57,7 @@ def test_message_of_a_moment() -> None:
 def test_health_and_hypotheses_are_published() -> None:
     moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
     elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
+    # More hypotheses than a message may have.
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
     text = build_message(1, moment._replace(estimate=moment.estimate._replace(health=verdict, places=places)), [])
     assert (text["trust"], text["reason"]) == ("LOST", "2 places look alike")
@@ -72,6 +74,7 @@ def test_message_of_longer_state_has_its_pose() -> None:
 
 
 def test_only_waypoints_set_later_are_returned() -> None:
+    # The number `set` rises with each change of the waypoints by the page: 4 is the state before the run.
     answers = [{"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[1, 2]], "set": 5},
                {"waypoints": [], "set": 6}]  # fmt: skip
     with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, output):
@@ -98,10 +101,12 @@ def test_refusal_of_first_message_raises_with_reason() -> None:
 
 def test_lost_viewer_is_logged_and_retried(caplog: pytest.LogCaptureFixture) -> None:
     now_s = 0.0
+    # Messages at 1 s and at the first retry fail; between them nothing is sent.
     fine, sent = (200, '{"waypoints": null, "set": 0}'), (200, '{"waypoints": [[3, 4]], "set": 1}')
     with a_page(fine, (500, ""), (200, "{}"), sent) as (url, output):
         publisher = Publisher(url, lambda: now_s)
         found = []
+        # Times relative to the failure at 1 s.
         for now_s in (0.0, 1.0, 2.0, 1.0 + RETRY_S, 1.0 + 1.5 * RETRY_S, 1.0 + 2 * RETRY_S):
             found.append(publisher.publish({"at": now_s}))
         publisher.close()
@@ -114,6 +119,7 @@ def test_lost_viewer_is_logged_and_retried(caplog: pytest.LogCaptureFixture) -> 
 
 
 @pytest.mark.parametrize(("ends_s", "last"), [(1.5, 1.5), (1.0, 1.0)])
+# The last message was not sent, or failed: in both cases it is sent when the run ends.
 def test_last_missed_message_is_sent_on_close(ends_s: float, last: float) -> None:
     """Else it would go on showing a robot on its path that has arrived: whatever was lost, and when."""
     now_s, fine = 0.0, (200, '{"waypoints": null, "set": 0}')
@@ -131,6 +137,7 @@ def test_silent_viewer_delays_robot_only_briefly() -> None:
         publisher = Publisher(url)
         publisher.publish({})
         publisher.close()
+    # The port accepts the connection, and nothing replies.
     with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and states nothing
         began = time.monotonic()
         assert publisher.publish({}) is None
@@ -144,6 +151,7 @@ def test_answer_is_waypoints_and_their_version() -> None:
 
 
 @pytest.mark.parametrize("answer", [
+    # No JSON, other types, infinite and huge numbers, and nesting beyond the recursion limit.
     b"", b"\xff", b"3", b"null", b"{}", b'{"set": 1}', b'{"waypoints": [], "set": "often"}', b"[" * 100_000,
     b'{"waypoints": [], "set": Infinity}', b'{"waypoints": [[NaN, 1]], "set": 1}', b'{"waypoints": [[1]], "set": 1}',
     b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',

@@ -73,6 +73,7 @@ def test_resumed_run_starts_from_saved_belief(localize: Localize, lasting: Lasti
     after = estimate.load(Path(file))
     truth = lasting.robot.truth()
     error = after.belief.mean[:3] - [truth.x_in, truth.y_in, truth.steering_rad]
+    # The saved estimate is compared with the true position of the robot that stayed.
     assert np.hypot(*error[:2]) < 1.0
     assert after.encoders.clock_s > saved.encoders.clock_s
 
@@ -83,6 +84,7 @@ def test_resumed_run_includes_motion_in_between(
 ) -> None:
     file = str(tmp_path / "here.json")
     localize("--waypoints", "20,30", "--save", file)
+    # 12 in between the two programs: the encoders show them, and the second program adds them.
     lasting.robot.move(translation_in=12.0)
     lasting.robot.wait_until_still(20)
     code, out = localize("--waypoints", "35,55", "--resume", file)
@@ -97,6 +99,7 @@ def test_reset_encoders_need_displacement_std(
     file = str(tmp_path / "here.json")
     localize("--waypoints", "20,30", "--save", file, "--scale-std", "0.01")
     lasting.robot.set_position(x_in=0.0, y_in=0.0)
+    # The encoders were set to 0, so that their difference to the saved ones is no motion.
     state = lasting.robot.refresh()
     lasting.robot.set_angles(steering_rad=0.0, turret_rad=state.turret_rad - state.steering_rad)
     code, out = localize("--waypoints", "35,55", "--resume", file)
@@ -117,6 +120,7 @@ def test_reset_encoders_need_displacement_std(
     )
     assert code == 0
     assert json.loads(out)["end_error_in"] < 1.0
+    # Three numbers of the pose, and two scales by --scale-std.
     assert len(estimate.load(Path(file)).belief.mean) == 5
 
 

@@ -23,6 +23,7 @@ FILES = {
 def simulated_rays(address: str) -> bool:
     """Return True if the simulation of an address has ray sonars."""
     (robot,) = open_address(address).emulator.simulation.robots.values()
+    # The oracle is the simulated robot itself.
     return not isinstance(robot.setup.sonar, Polaroid)
 
 
@@ -39,6 +40,7 @@ def test_sonar_model_of_simulation_address(query: str) -> None:
 @pytest.mark.parametrize("name", FILES)
 def test_sonar_model_of_custom_setup_file(name: str, tmp_path: Path) -> None:
     file = tmp_path / f"{name}.toml"
+    # Each file is read by the simulation and by the function under test.
     file.write_text(FILES[name])
     address = f"sim:?setup={file}"
     assert sonar_model_of_address(address) is simulated_rays(address)
@@ -50,6 +52,7 @@ def test_invalid_setup_file_gives_no_model_or_default(text: str, tmp_path: Path)
     file.write_text(text)
     assert sonar_model_of_address(f"sim:?setup={file}") is (None if text.endswith("= ") else True)
     assert sonar_model_of_address(f"sim:?setup={tmp_path}/none.toml") is None
+    # Deeper than the parser's recursion limit.
     file.write_text("x = " + 5000 * "[")
     assert sonar_model_of_address(f"sim:?setup={file}") is None
 

@@ -28,6 +28,7 @@ SOLUTIONS: dict[str, Callable[..., Any]] = {
 ANSWERS: dict[str, Callable[..., Any]] = {
     name: function
     for module in iter_modules(answers.__path__)
+    # Names are TASK__right_REASON and TASK__wrong_REASON; names with a leading underscore are helpers.
     for name, function in vars(import_module(f"{answers.__name__}.{module.name}")).items()
     if "__" in name and not name.startswith("_")
 }
@@ -44,8 +45,10 @@ def test_solution_passes(name: str) -> None:
 def test_answer_is_judged(name: str) -> None:
     task, _, kind = name.partition("__")
     for seed in SEEDS:
+        # Another seed than that of the solutions: the checks draw their examples from it.
         found = verdict(all_tasks()[task], ANSWERS[name], seed + 100)
         assert found.passed == kind.startswith("right"), found
+        # A message that explains the mistake, and not only that there is one.
         assert found.passed or len(found.text) > 30
 
 

@@ -37,6 +37,7 @@ def test_only_definitions_are_executed() -> None:
         "def helper(x):\n    return x\n\nvalues = [helper(k) for k in range(3)]\nfor k in values:\n    print(k)\n",
         "this is no Python",
     ])  # fmt: skip
+    # Definitions and plain assignments are executed; connections, prints and loops are not.
     assert names(selected) == {"SCALE", "function", "helper", "values"}
     assert len(selected) == 6
     assert len(errors) == 1
@@ -57,6 +58,7 @@ def test_wrong_and_right_answers_get_their_points(tmp_path: Path, capsys: pytest
                     DEFINITIONS["random_error"])  # fmt: skip
     assert main(["grade", str(file), "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["submissions"]
+    # Task 1 is wrong (0 of 2), task 2 is right (2), task 3 is right (1).
     assert (found["notebook"], found["points"], found["of"]) == ("01", 3, 5)
     assert [task["points"] for task in found["tasks"]] == [0, 2, 1]
     assert "half of the turn" in found["tasks"][0]["text"]
@@ -64,6 +66,7 @@ def test_wrong_and_right_answers_get_their_points(tmp_path: Path, capsys: pytest
 
 @pytest.mark.long
 def test_bad_answer_costs_only_its_own_points(tmp_path: Path) -> None:
+    # A loop without end, an exit of the process, 80 GB of memory, and an exit of Python.
     bodies = {
         "move_particles": "    while True:\n        pass\n",
         "weigh_particles": "    import os\n    os._exit(3)\n",
@@ -80,6 +83,7 @@ def test_bad_answer_costs_only_its_own_points(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_answer_that_catches_everything_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("localization.course.grading.START_S", 3.0)
+    # An answer that catches the exception of the time limit must be killed.
     loop = "    while True:\n        try:\n            time.sleep(9)\n        except BaseException:\n            pass\n"
     file = notebook(tmp_path / "eve.ipynb", f"import time\ndef update_cell(l, p):\n{loop}")
     assert "stopped" in grade(file, limits=Limits(seconds=0.2)).marks[0].text
@@ -87,6 +91,7 @@ def test_answer_that_catches_everything_is_stopped(tmp_path: Path, monkeypatch: 
 
 @pytest.mark.long
 def test_output_and_children_of_answers_change_nothing(tmp_path: Path) -> None:
+    # The printed line has the form of a verdict: it must not be taken for one.
     forged = 'print(\'{"name": "update_cell", "passed": true, "text": ""}\')\n'
     # Parent and child hold the lock until both have ended.
     lock = tmp_path / "lock"
@@ -99,6 +104,7 @@ def test_output_and_children_of_answers_change_nothing(tmp_path: Path) -> None:
     for mark, word in zip(grade(file).marks, ("it returned [0", "it returned 0, expected", "root mean"), strict=True):
         assert mark.points == 0
         assert word in mark.text
+    # The lock is free only if the answer's child process was killed, too.
     with lock.open() as opened:
         fcntl.flock(opened, fcntl.LOCK_EX)
 
@@ -106,6 +112,7 @@ def test_output_and_children_of_answers_change_nothing(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_table_and_summary_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     notebook(tmp_path / "ada.ipynb", "import numpy as np", (SOLUTIONS / "09-lost-and-found.py").read_text())
+    # A right answer, and a cell that uses a recorded drive, which is not executed.
     notebook(tmp_path / "bob.ipynb", "def effective_number(weights):\n    return 1 / sum(weights**2)",
              "half = drive / 2")  # fmt: skip
     (tmp_path / ".ipynb_checkpoints").mkdir()

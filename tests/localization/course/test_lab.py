@@ -21,6 +21,7 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "own_filter.py"
 def test_legs_are_driven_for_their_time() -> None:
     drive = lab.record("sim:thesis_room?seed=1", [(10.0, 0.0, 1.0), (0.0, 45.0, 1.0)])
     assert drive.has_truth
+    # 2 s in periods of 0.1 s.
     assert len(drive.clock_s) == len(drive.truth) == 20
     assert np.diff(drive.clock_s) == pytest.approx(lab.PERIOD_S, abs=0.02)
     # 10 in/s for a second with 5 in/s^2 at each end, then a turn to the left; ideal encoders are the truth.
@@ -48,6 +49,7 @@ def test_expected_ranges_are_those_of_rays() -> None:
     found = lab.expected_ranges((x, y, heading), [0.0, 1.0], world)
     for range_in, angle in zip(found[0], (heading, heading + 1.0), strict=True):
         exact_in = cast_ray(x, y, np.cos(angle), np.sin(angle), world.walls)[0]
+        # The oracle casts one ray from the centre; the ring's radius is subtracted.
         assert range_in == pytest.approx(exact_in - lab.RING_IN, abs=1e-9)
 
 

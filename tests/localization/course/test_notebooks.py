@@ -43,6 +43,7 @@ def run_here(made: Any) -> list[Verdict]:
     for cell in made.cells:
         if cell.cell_type == "code":
             tree = ast.parse(cell.source)
+            # As in a notebook, the value of a cell's last expression is shown.
             last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
             exec(compile(tree, "cell", "exec"), values)
             if last:
@@ -58,6 +59,7 @@ def test_there_are_eleven_with_solutions_apart() -> None:
         stubs = [cell for cell in course.notebook(name).cells if "task" in cell.metadata.get("tags", [])]
         assert all("raise NotImplementedError" in cell.source for cell in stubs)
         tasks = [task.name for task in all_tasks().values() if task.notebook == name[:2]]
+        # The stubs of a notebook are its tasks, in the same order.
         assert [cell.source.partition("(")[0].removeprefix("def ") for cell in stubs] == tasks
 
 

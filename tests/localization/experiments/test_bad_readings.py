@@ -26,6 +26,7 @@ def test_given_fraction_of_echoes_is_replaced() -> None:
     assert len(replaced) / shown.size == pytest.approx(0.2, abs=0.015)
     assert replaced.min() == 6
     assert replaced.max() == 255
+    # Uniform from 6 to 255 in: the mean is 130.5.
     assert replaced.mean() == pytest.approx(130.5, abs=6.0)
 
 
@@ -34,6 +35,7 @@ def test_bad_echo_stays_until_its_sonar_fires_again() -> None:
     before = bad.apply(report(ROUND_S + 0.001)).sonars_in
     for k in range(1, 16):
         now = bad.apply(report(ROUND_S + 0.001 + k * schedule.interval_s)).sonars_in
+        # Only sonars that have fired since may have another reading.
         fired = set(schedule.order[: k + 1])
         assert all(now[sonar] == before[sonar] for sonar in range(16) if sonar not in fired)
     assert now != before

@@ -61,6 +61,7 @@ def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
 
 def test_cluster_without_workers_or_with_other_code_fails() -> None:
     with pytest.raises(ClusterError, match=r"no workers.*there:1"):
+        # Worker "a" has the same code; "b" and "c" are listed in order.
         _check_workers({}, "there:1", "mine")
     with pytest.raises(ClusterError, match=r"different code.* b, c"):
         _check_workers({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
@@ -68,6 +69,7 @@ def test_cluster_without_workers_or_with_other_code_fails() -> None:
 
 
 def test_workers_of_compiled_steps_need_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Equal sources, with and without numba: their numbers differ in the last bits.
     monkeypatch.setattr(execution, "code_hash", lambda: "same")
     codes = []
     for spec in (None, "numba"):

@@ -24,6 +24,7 @@ def explorer(places: np.typing.NDArray[np.float64] = GOAL) -> RandomExplorer:
 def test_explorer_plans_turns_drives_and_replans() -> None:
     one = explorer()
     assert one.command(np.array([20.0, 20.0, pi])) == STAND
+    # Facing away from the goal, at pi, the robot turns before it drives.
     assert one.command(np.array([20.0, 20.0, pi])).translation_in_s == 0.0
     assert one.command(np.array([20.0, 20.0, -2.0])) == VelocityCommand(0.0, TURN_RAD_S)
     assert one.command(np.array([20.0, 20.0, 2.0])) == VelocityCommand(0.0, -TURN_RAD_S)

@@ -24,6 +24,7 @@ def test_tracking_run_has_given_length_and_no_alarm() -> None:
     assert (outcome.alarms, outcome.degraded, outcome.lost_after_s, outcome.found_after_s) == (0, 0.0, None, None)
     assert outcome.rmse_in is not None
     assert outcome.rmse_in < 0.5
+    # The same case again gives the same outcome: all randomness comes from its seed.
     assert outcome == drive(EXACT)
 
 
@@ -58,6 +59,7 @@ def test_a_robot_that_is_reported_nothing_finds_itself() -> None:
 
 def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lost, "SEARCH_LIMIT_S", 15.0)
+    # A square room looks the same from four places, so that no search ends.
     outcome = drive(replace(EXACT, kind=Kind.UNKNOWN_START, world="thesis_room"))
     assert outcome.found_after_s is None
     assert not outcome.right

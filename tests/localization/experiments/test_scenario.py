@@ -27,6 +27,7 @@ def test_scales_are_drawn_per_seed_with_std_of_filter() -> None:
     measured = SCENARIOS["measured"]
     drawn = [measured.scale(seed) for seed in range(400)]
     assert np.mean(drawn) == pytest.approx(1.0, abs=0.01)
+    # The filter assumes a scale error of 5 percent, which is what is drawn.
     assert np.std(drawn) == pytest.approx(0.05, rel=0.1)
     assert measured.scale(3) == drawn[3]
     assert measured.constants == (0.05,)

@@ -44,5 +44,6 @@ def test_each_figure_drives_from_its_start_through_its_goals(name: str, goals: l
 def test_the_text_cannot_have_covered_its_path_in_1199_steps() -> None:
     course = figure_setup(FIGURES["5.4"])
     assert course.length_in == pytest.approx(math.hypot(60, 40))
+    # 72.1 in at 0.05 in a step.
     assert course.min_steps == 1442
     assert course.max_steps > 3 * 1442

@@ -34,5 +34,6 @@ def test_seeds_and_purposes_share_nothing() -> None:
 def test_the_numbers_are_standard_normal() -> None:
     moves, sounds = first(list(range(8)), 1000)
     for numbers in (moves, sounds):
+        # Four standard deviations of a mean and of a variance of that many normal numbers.
         assert abs(numbers.mean()) < 4 / np.sqrt(numbers.size)
         assert abs(numbers.var() - 1) < 4 * np.sqrt(2 / numbers.size)

@@ -13,6 +13,7 @@ from localization.experiments.live_trial import TrialJob, run, trials
 def test_a_line_is_time_metres_and_a_unit_quaternion() -> None:
     text = live_command.lines(np.array([1.5, 2.0]), np.array([[100.0, -50.0, np.pi / 2], [0.0, 0.0, -3.0]]))
     first, second = (np.array(line.split(), dtype=float) for line in text.splitlines())
+    # 100 in = 2.54 m; a heading of 90 degrees is the quaternion z = w = sqrt(1/2).
     np.testing.assert_allclose(first, [1.5, 2.54, -1.27, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)], atol=1e-9)
     assert np.isclose(2.0 * np.arctan2(second[6], second[7]), -3.0)
 

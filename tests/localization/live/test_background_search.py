@@ -62,6 +62,7 @@ def turn_from_unknown_start(filter_: GlobalLocalizer, seconds: float = 6.0) -> t
         assert state.clock_s is not None
         localizer = Localizer(CONFIG, filter_.belief, FiringSchedule(state.clock_s), filter_)
         estimates = []
+        # States every 0.1 s: the robot turns on the spot, so that all sonars see all walls.
         for _ in range(round(seconds / 0.1)):
             robot.drive(translation_in_s=0.0, steering_rad_s=0.2)
             estimates.append(localizer.update(robot.refresh()))
@@ -77,6 +78,7 @@ def test_answers_are_those_of_a_search_in_this_process(tmp_path: Path) -> None:
         beside, off_in = turn_from_unknown_start(finder(CONFIG, None, poses=poses))
         assert poses.progress == ""
     assert off_in < 2.0
+    # To the bit: the process of its own must change nothing.
     np.testing.assert_array_equal(alone[-1].pose, beside[-1].pose)
     assert len(list(tmp_path.glob("*.npz"))) == 1
     assert set(reports) <= {"searching"} | {f"preparing the map, {percent}%" for percent in range(101)}
@@ -92,6 +94,7 @@ class Late(TableSearch):
     def start(self, request: SearchRequest) -> PendingSearch:
         answer, left = super().start(request), [self.questions if request.searches else 0]
 
+        # The search itself is done at once; only its answer is withheld.
         def pending() -> SearchResult | None:
             left[0] -= 1
             return answer() if left[0] < 0 else None
@@ -141,6 +144,7 @@ def test_after_an_answer_later_than_the_history_the_search_begins_again(monkeypa
     class Slow(Late):
         def start(self, request: SearchRequest) -> PendingSearch:
             searches.extend([len(request.records)] * request.searches)
+            # The first answer comes after 60 echoes, when the history of 48 no longer reaches back to its beginning.
             self.questions = 60 if len(searches) == 1 else 0
             return super().start(request)
 
@@ -152,6 +156,7 @@ def test_after_an_answer_later_than_the_history_the_search_begins_again(monkeypa
 
 @pytest.mark.long
 def test_late_alternatives_still_find_a_slipped_heading() -> None:
+    # The wheels slipped by 0.35 rad, and the belief claims a deviation of 0.02.
     slipped = independent((*START[:2], START[2] + 0.35), (0.2, 0.2, 0.02))
     estimates, off_in = turn_from_unknown_start(finder(CONFIG, slipped, poses=Late(table_search(CONFIG), 6)), 8.0)
     assert off_in < 1.0
@@ -176,10 +181,12 @@ def test_damaged_tables_are_built_again_and_old_ones_removed(tmp_path: Path) -> 
     load_or_build(CONFIG, tmp_path, lambda _: None)
     (stored,) = tmp_path.glob("*.npz")
     stored.write_bytes(b"no table")
+    # A file of a version that cannot be read, or one that was cut off.
     built: list[float] = []
     load_or_build(CONFIG, tmp_path, built.append)
     assert built
     stored.unlink()
+    # Files of other maps that are older.
     for number in range(MAX_CACHED + 3):
         (tmp_path / f"{number}.npz").write_bytes(b"")
     load_or_build(CONFIG, tmp_path, built.append)
@@ -208,6 +215,7 @@ LONG_FLAT = polygon_segments([(0.0, 0.0), (1400.0, 0.0), (1400.0, 350.0), (0.0, 
 def test_large_maps_have_larger_cells_and_bounded_tables() -> None:
     table = build_range_table(LONG_FLAT, N150, RaySonar(), 9.0)
     assert table.cell_in == 6.0
+    # One column more, for no place.
     assert table.codes.shape == (DIRECTIONS, len(table.places_in) + 1)
     assert table.codes.nbytes < 5e6
     # One of four places is computed at first.
@@ -273,6 +281,7 @@ def test_worker_has_no_scipy_which_numba_would_load(tmp_path: Path) -> None:
     with closing(BackgroundSearch(CONFIG, waits=True, folder=tmp_path)) as poses:
         poses.prepare()
         assert poses._pool is not None
+        # numpy is imported in the worker: the check itself works.
         assert poses._pool.submit(can_import, "numpy.linalg").result()
         assert not poses._pool.submit(can_import, "scipy.linalg").result()
 
@@ -316,6 +325,7 @@ def test_a_compiling_process_ends_with_its_worker() -> None:
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
     worker = context.Process(target=start_and_wait, args=(writer,))
+    # This process's own end would leave the pipe open.
     worker.start()
     writer.close()
     reader.recv()
@@ -338,6 +348,7 @@ def test_only_the_finder_has_a_search(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_process_without_children_searches_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A daemonic process may not have children.
     monkeypatch.setattr("multiprocessing.process._current_process._config", {"daemon": True, "authkey": b""})
     with filter_on_robot(FINDER, CONFIG, None, waits=True) as method:
         assert isinstance(method, GlobalLocalizer)

@@ -16,6 +16,7 @@ def echo(refusal: Refusal, nis: float = 0.0) -> Echo:
 def test_nis_and_refused_fraction() -> None:
     fit = Consistency(rays=True)
     assert (fit.nis, fit.refused_fraction, fit.is_good) == (0.0, 0.0, True)
+    # The mean of 0.5 and 1.5. Limits and ambiguous walls are no refusals.
     fit.add([echo(Refusal.NONE, 0.5), echo(Refusal.NONE, 1.5), echo(Refusal.LIMIT), echo(Refusal.AMBIGUOUS_WALL)])
     assert (fit.nis, fit.refused_fraction) == (1.0, 0.0)
     assert fit.line() == "readings fit with a NIS of 1.00 (1 is right), 0.0% refused"

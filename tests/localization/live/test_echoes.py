@@ -13,6 +13,7 @@ from nclient.protocol.types import DEFAULT_SONAR_ORDER
 
 def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:
     """Every firing of the ring up to an instant, one after another."""
+    # The oracle: firing by firing, without the arithmetic of the schedule.
     count = int((until_s - schedule.start_s) / schedule.interval_s) + 2
     order = [sonar for (sonar,) in schedule.firing]
     instants = [schedule.start_s + k * schedule.interval_s for k in range(count)]
@@ -39,6 +40,7 @@ def test_by_a_late_clock_no_echo_is_read_before_it_is_there() -> None:
     seen: list[float] = []
     for number in range(100):
         true_s = 0.1 * number + CLOCK_STEP_S
+        # The clock is late by up to 0.1 s, as over a slow link.
         found = schedule.readable(last_s, true_s + late_s * float(rng.random()), late_s)
         seen += [firing.instant_s for firing in found]
         last_s = seen[-1] if seen else last_s

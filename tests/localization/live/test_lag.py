@@ -36,6 +36,8 @@ def test_the_rest_of_a_state_and_the_belief_itself_stay() -> None:
     before = belief.cov.copy()
     lag = clock_lag(encoders(0.0, np.zeros(3)), encoders(0.5, np.array([10.0, 0.0, 0.0])), LAG_STD_S)
     output = add_lag(belief, lag)
+    # The difference of two uniform times of one step has a variance of a sixth of its square; 10 in in 0.5 s are 20
+    # in/s.
     assert output.cov[0, 0] == pytest.approx(0.1**2 + (20.0 * CLOCK_STEP_S) ** 2 / 6.0)
     assert output.cov[3, 3] == before[3, 3]
     assert (belief.cov == before).all()
@@ -52,6 +54,7 @@ def test_standing_robot_has_no_lag() -> None:
 def test_late_clock_shows_in_the_motion_of_the_encoders(rates: list[float]) -> None:
     start, late_s = np.array([3.0, -4.0, 3.1]), 0.03
     before, middle, after = (move(start, time_s * np.array(rates)) for time_s in (0.0, 0.1, 0.2))
+    # The clock of the middle state is late, and its neighbours are right.
     error_s = clock_error(encoders(1.0, before), encoders(1.1 + late_s, middle), encoders(1.2, after))
     assert error_s == pytest.approx(late_s, rel=1e-3)
     assert clock_error(encoders(1.0, start), encoders(1.1 + late_s, start), encoders(1.2, start)) == 0.0
@@ -90,6 +93,7 @@ def test_wheels_that_slip_at_a_wall_show_nothing_of_the_clock(touching: bool) ->
 
 def test_nearly_equal_clocks_are_no_great_speed() -> None:
     """A robot at 5 in/s, states every 0.1 s, clocks late by up to 0.1 s: the lag is at most that of its speed."""
+    # The reading belongs to any time of 0.1 s: a standard deviation of 0.1 / sqrt(3) from its end.
     std_s = 0.1 / np.sqrt(3.0)
     ahead_in, _ = clock_lag(encoders(1.0, np.zeros(3)), encoders(1.001, np.array([0.5, 0.0, 0.0])), std_s)
     assert ahead_in == pytest.approx(5.0 * std_s)

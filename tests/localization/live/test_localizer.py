@@ -34,6 +34,7 @@ class Robot:
         return 20 + distance * math.cos(self.heading), 30 + distance * math.sin(self.heading)
 
     def report(self, time_s: float) -> SensorData:
+        # A firing every 60 ms, as the default ring has; each reading stays until the sonar fires again.
         while self.fired * 0.06 <= time_s + 1e-9:
             self.fire(DEFAULT_SONAR_ORDER[self.fired % 16], self.fired * 0.06)
             self.fired += 1
@@ -44,6 +45,7 @@ class Robot:
         angle = self.turret + N150.sonar_angles_rad[sonar]
         direction = np.array([math.cos(angle), math.sin(angle)])
         reach, _ = cast_rays(np.array(self.pose(time_s)), direction, ROOM)
+        # Whole inches from 6 to 255, measured from the ring and not from the centre.
         self.sonars[sonar] = int(min(255, max(6, round(float(reach) - N150.sonar_ring_radius_in))))
 
 
@@ -72,6 +74,7 @@ def test_each_echo_is_reported_once_with_its_result() -> None:
     instants = [echo.instant_s for echo in echoes]
     assert instants == sorted(set(instants))
     assert instants[-1] > 5.8
+    # The first firing is at the start, before there is an interval of motion to place it in.
     assert [echo.sonar for echo in echoes[:16]] == [*DEFAULT_SONAR_ORDER[1:], 0]
     assert {echo.refusal for echo in echoes} >= {Refusal.NONE}
     assert all(echo.innovation_in == 0 for echo in echoes if echo.refusal is not Refusal.NONE)
@@ -81,6 +84,7 @@ def test_limits_are_never_ranges() -> None:
     robot, filtered = Robot(0.0), localizer()
     filtered.update(robot.report(0.0))
     for k in range(1, 20):
+        # 6 and 255 mean "nearer" and "no echo", and are no ranges.
         limits = tuple(6 if sonar % 2 else 255 for sonar in range(16))
         estimate = filtered.update(replace(robot.report(0.1 * k), sonars_in=limits))
         assert {echo.refusal for echo in estimate.echoes} <= {Refusal.LIMIT}

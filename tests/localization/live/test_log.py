@@ -27,6 +27,7 @@ def log_file(folder: Path, text: str) -> Path:
 
 
 def test_columns_are_converted_by_their_units(tmp_path: Path) -> None:
+    # 254 mm = 10 in, 508 mm = 20 in, 2.54 m = 100 in; an empty cell is no echo.
     rows = read_log(log_file(tmp_path, f"# a comment\n{HEAD}\n0,254,1,180,508,2.54\n\n500,0,0,-90,,0.254\n"))
     assert [row.clock_s for row in rows] == [0.0, 0.5]
     assert rows[0].odometry == pytest.approx((10.0, 1000.0 / 25.4, pi))
@@ -74,6 +75,7 @@ def test_a_missing_or_binary_file_is_an_error(tmp_path: Path) -> None:
 def test_a_reading_is_new_if_it_changes_or_is_due() -> None:
     readings = [[5.0], [5.0], [6.0], [6.0], [6.0], [7.0]]
     clocks_s = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    # Changed readings, and an unchanged one when a whole ring of 0.4 s has passed.
     assert new_echoes(readings, clocks_s, 0.4) == [[], [], [0], [], [0], [0]]
 
 

@@ -23,6 +23,7 @@ def test_between_two_polls_the_robot_went_evenly() -> None:
     history = PoseHistory()
     for at in (pose(1.0, 0.0), pose(1.5, 5.0, 0.2, 0.4), pose(2.0, 6.0, 0.2, 0.4)):
         history.add(at)
+    # A fifth of the first interval; half of the second one.
     assert encoders_at(history, 1.1).pose == pytest.approx([1.0, 2.0, 0.04])
     assert encoders_at(history, 1.1).turret_rad == pytest.approx(0.08)
     assert encoders_at(history, 1.75).pose == pytest.approx([5.5, 11.0, 0.2])

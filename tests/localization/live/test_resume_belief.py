@@ -76,8 +76,10 @@ def test_walls_in_another_order_are_the_same_map() -> None:
 @pytest.mark.parametrize(
     ("now", "expected"),
     [
+        # The clock is behind the saved one: the robot was restarted.
         (encoders(10.0, 20.0, 0.3, 50.0), "clock went back.*--displacement-std"),
         (encoders(0.0, 0.0, 0.0, 900.0), r"set meanwhile.*\(0.0, 0.0\).*\(10.0, 20.0\).*--displacement-std"),
+        # 50 in within a second: no robot is that fast.
         (encoders(60.0, 20.0, 0.3, 101.0), "set meanwhile"),
         (encoders(90.0, 20.0, 0.3, 900.0), "driven 80 in away.*omit --resume"),
     ],

@@ -57,6 +57,7 @@ def state_of(readings: tuple[float, ...]) -> SensorData:
 
 def test_limits_are_limits_of_every_part_of_a_filter() -> None:
     ring = replace(EIGHT.ring, no_echo_in=0.0)
+    # "No echo" of this ring, 0, becomes the 255 that filters know, and so does the largest range.
     seen = corrected(state_of((0.0, 50.0, ring.max_range_in, ring.min_range_in)), Calibration(), ring).sonars_in
     assert seen == (255.0, 50.0, 255.0, ring.min_range_in)
     far = replace(EIGHT.ring, min_range_in=10.0, max_range_in=400.0, no_echo_in=400.0)
@@ -90,6 +91,7 @@ def test_states_have_all_sonars_of_a_watched_ring(body: Any) -> None:
             assert wire == 255 or wire == pytest.approx(reading, abs=0.501) or wire == 6
 
 
+# No command, an unknown one, a byte too many, and another packet type.
 @pytest.mark.parametrize("packet", [(60,), (60, 2), (60, 0, 0), (61, 0)])
 def test_other_packets_are_refused(packet: tuple[int, ...]) -> None:
     from nclient.errors import RobotRefused

@@ -57,6 +57,7 @@ def test_a_missing_key_is_reported(file: Path, key: str) -> None:
         ("world", 3), ("body", None), ("clock_s", "now"), ("clock_s", [1.0]), ("turret_rad", float("nan")),
         ("encoders", [1.0, 2.0]), ("encoders", [1.0, 2.0, {}]), ("mean", [1.0, 2.0]), ("mean", 4.0),
         ("mean", [0.0] * 99), ("mean", [1.0, 2.0, 3.0, 10**400]), ("cov", [[1.0]]),
+        # A negative variance, and a matrix that is not symmetric.
         ("cov", np.diag([1.0, 1.0, 1.0, -1.0]).tolist()), ("cov", (np.eye(4) + np.eye(4, k=1)).tolist()),
         ("mean", [1e300, 2.0, 3.0, 4.0]),
         ("cov", (1e308 * np.eye(4)).tolist()), ("clock_s", 1e13), ("colour", "red"), ("format", "nomad estimate 0"),

@@ -21,6 +21,7 @@ ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), S
 
 def test_readings_lose_their_offsets_but_limits_stay() -> None:
     state = corrected(SENSOR_DATA, ERRS)
+    # 0, 6 and 255 are no ranges and stay; 7 - 2 and 254 + 2 would leave the range, and end just within it.
     assert state.sonars_in[:3] == (6.0, 255.0, 0.0)
     assert 6.0 < state.sonars_in[3] < 6.01
     assert 254.99 < state.sonars_in[4] < 255.0

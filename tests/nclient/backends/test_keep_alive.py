@@ -32,6 +32,7 @@ def keep_alive_on(robot: ScriptedLine, clock: Clock, **options: Any) -> KeepAliv
     return KeepAlive(direct_on(robot), feeds=False, clock=clock, **options)
 
 
+# 5 s is the default; a connection without a greeting of its own takes that of conf_tm.
 def test_the_timeout_is_set_on_connecting() -> None:
     robot = ScriptedLine()
     backend = keep_alive_on(robot, Clock())
@@ -44,6 +45,7 @@ def test_the_timeout_is_set_on_connecting() -> None:
     assert robot.calls[-1] == Call("conf_tm", (9,))
 
 
+# Three requests in each timeout of 6 s: one may be lost.
 def test_gs_is_sent_after_a_third_of_the_timeout() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = keep_alive_on(robot, clock, timeout_s=6)
@@ -54,6 +56,7 @@ def test_gs_is_sent_after_a_third_of_the_timeout() -> None:
     clock.now_s = 2.0
     assert backend.poll() == 2.0
     assert robot.names() == ["gs"]
+    # The program's own request counts: the next gs is due 2 s after it.
     clock.now_s = 3.0
     backend.execute(VM)
     assert backend.poll() == 2.0
@@ -68,6 +71,7 @@ def test_the_interval_can_be_shortened() -> None:
     assert robot.names() == ["conf_tm", "gs"]
 
 
+# State[0] is the speed times 10: at 100 the simulation runs ten times as fast, so that its timeout is over earlier.
 @pytest.mark.parametrize(("speed", "interval_s"), [(10, 2.0), (5, 2.0), (100, 0.2), (9999, 0.005)])
 def test_a_faster_simulation_shortens_the_interval(speed: int, interval_s: float) -> None:
     server, clock = ScriptedServer(), Clock()
@@ -80,6 +84,7 @@ def test_a_faster_simulation_shortens_the_interval(speed: int, interval_s: float
 
 def test_nothing_is_sent_while_time_stands_still() -> None:
     server, clock = ScriptedServer(), Clock()
+    # State[0] = 0: paused. The motion timeout runs on simulated time.
     server.slots = {0: 0}
     backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
     clock.now_s = 100.0
@@ -95,14 +100,17 @@ def test_nothing_is_sent_while_time_stands_still() -> None:
 def test_a_program_that_sends_conf_tm_takes_over() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = keep_alive_on(robot, clock)
+    # From here on the program decides about the timeout.
     backend.execute(Call("conf_tm", (1,)))
     clock.now_s = 100.0
     backend.poll()
     backend.execute(Call("ws", (1, 1, 1, 20)))
     assert robot.names() == ["conf_tm", "conf_tm", "ws"]
+    # ws is not split: no keep-alive needs to get through.
     assert robot.calls[-1].args == (1, 1, 1, 20)
 
 
+# An old server refuses conf_tm.
 def test_no_thread_without_motion_timeout() -> None:
     server, clock = ScriptedServer({"conf_tm": error(1)}), Clock()
     backend = KeepAlive(NserverBackend(MemoryStream(server)), clock=clock)
@@ -114,6 +122,7 @@ def test_nothing_is_sent_during_a_call() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = keep_alive_on(robot, clock)
     clock.now_s = 100.0
+    # A request in progress feeds the timeout itself, and the poll must not wait for it.
     with backend._lock:
         backend.poll()
     assert robot.names() == ["conf_tm"]
@@ -121,10 +130,12 @@ def test_nothing_is_sent_during_a_call() -> None:
 
 def test_a_restarted_robot_gets_its_timeout_again() -> None:
     robot = ScriptedLine()
+    # A robot that has run for 500 s.
     robot.clock = 500_000
     inner = direct_on(robot)
     backend = KeepAlive(RetryingBackend(inner, 2), feeds=False, clock=Clock())
     backend.execute(GS)
+    # It restarts: its clock is behind. The next conf_tm is lost, in all three attempts.
     robot.clock = 100
     robot.answers["conf_tm"] = [None, None, None]
     robot.calls.clear()
@@ -132,7 +143,9 @@ def test_a_restarted_robot_gets_its_timeout_again() -> None:
     backend.execute(VM)
     backend.execute(GS)
     names = [name for name in robot.names() if name not in ("get_ra", "get_rv", "get_rc")]
+    # Three gs until the clock's jump is accepted; three lost conf_tm; the next reply triggers a new one.
     assert names == [*["gs"] * 3, *["conf_tm"] * 3, "vm", "conf_tm", "gs"]
+    # A timeout of 0 was set by the program: it is not replaced after a restart.
     backend.execute(Call("conf_tm", (0,)))
     robot.clock = 0
     robot.calls.clear()
@@ -151,10 +164,12 @@ def test_the_next_call_raises_a_loss() -> None:
     backend = KeepAlive(inner, feeds=False, clock=clock)
     stream.close()
     for now_s in (10.0, 20.0):
+        # Errors in the thread have no caller: the next call raises the first of them.
         clock.now_s = now_s
         backend.poll()
     with pytest.raises(ConnectionLost, match="gs: this end"):
         backend.execute(VM)
+    # It is raised once; from here on the calls fail by themselves.
     with pytest.raises(ConnectionLost, match="vm: "):
         backend.execute(VM)
 
@@ -162,12 +177,14 @@ def test_the_next_call_raises_a_loss() -> None:
 def test_a_lost_reply_is_raised_only_if_it_closes() -> None:
     robot, clock = ScriptedLine(), Clock()
     backend = keep_alive_on(robot, clock)
+    # On a serial line a lost reply leaves the session open: the next poll makes up for it.
     robot.answers["gs"] = [spoiled(robot.frame("gs"))]
     clock.now_s = 10.0
     backend.poll()
     assert backend.execute(VM).kind == "state"
     server = ScriptedServer()
     backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    # Over TCP it closes the session, and the next call must raise the reason.
     server.answers["gs"] = None
     clock.now_s = 20.0
     backend.poll()
@@ -182,6 +199,7 @@ def test_the_next_call_raises_a_bumper_hit() -> None:
     backend.execute(VM)
     robot.slots[33] |= 1
     clock.now_s = 10.0
+    # The contact shows in the reply to the thread's gs, and st is sent at once.
     backend.poll()
     assert robot.names() == ["conf_tm", "vm", "gs", "st"]
     with pytest.raises(BumperHit, match="gs: bumper 0"):
@@ -199,6 +217,7 @@ def moving(robot: ScriptedLine, motors: int) -> Any:
 def test_ws_is_split_until_the_axes_are_still() -> None:
     robot = ScriptedLine()
     backend = keep_alive_on(robot, Clock())
+    # Motor bits 5 and 6 contain translation or turret; 2 is steering alone, which ws did not name.
     robot.answers["ws"] = [moving(robot, 5), moving(robot, 6), moving(robot, 2)]
     assert backend.execute(Call("ws", (1, 0, 1, 20))).slots[41] == 2
     assert [call.args for call in robot.calls[1:]] == [(1, 0, 1, 2)] * 3
@@ -208,6 +227,7 @@ def test_ws_ends_when_its_time_is_over() -> None:
     robot = ScriptedLine()
     backend = keep_alive_on(robot, Clock())
     robot.answers["ws"] = moving(robot, 7)
+    # Pieces of 2 s, which is half the timeout of 5 s, rounded down.
     for timeout_s, pieces in ((5, [2, 2, 1]), (2, [2]), (0, [0]), (-1, [0])):
         robot.calls.clear()
         backend.execute(Call("ws", (1, 1, 1, timeout_s)))
@@ -228,6 +248,7 @@ def test_the_thread_sends_gs_and_ends_on_close(monkeypatch: pytest.MonkeyPatch) 
 
     def send(data: bytes) -> None:
         answer(data)
+        # The second gs shows that the thread goes on after the first.
         if robot.names().count("gs") > 1:
             fed.set()
 
@@ -245,6 +266,7 @@ def test_the_thread_stops_a_dropped_robot(monkeypatch: pytest.MonkeyPatch) -> No
     closed, robot = threading.Event(), ScriptedLine()
     monkeypatch.setattr(robot, "close", closed.set)
     backend = KeepAlive(direct_on(robot))
+    # No reference remains: the finalizer ends the thread, which stops the robot and closes the line.
     del backend
     assert closed.wait(10)
     assert robot.names()[-1] == "st"
@@ -257,6 +279,7 @@ def test_a_dropped_robot_is_dropped_during_a_poll(monkeypatch: pytest.MonkeyPatc
 
     def send(data: bytes) -> None:
         answer(data)
+        # The last reference is dropped while the thread itself uses the backend.
         if robot.names()[-1] == "gs":
             backend.clear()
             polled.set()

@@ -13,6 +13,7 @@ def test_buckets_double_from_a_tenth_of_a_millisecond() -> None:
     link = LinkStatistics()
     for seconds in (0.0, 0.0001, 0.00011, 0.0002, 60.0):
         link.record_latency(seconds)
+    # 0 and 0.0001 in the first bucket, 0.00011 and 0.0002 in the second, 60 s in the last, which has no upper limit.
     assert link.latencies[:2] == [2, 2]
     assert link.latencies[-1] == 1
     assert sum(link.latencies) == link.answers == 5
@@ -25,6 +26,8 @@ def test_latency_quantiles() -> None:
         link.record_latency(0.003)
     link.record_latency(0.02)
     link.record_latency(100.0)
+    # A quantile is the upper limit of its bucket: 0.0001 x 2^5; 0.02 s is the 99th value, in the bucket up to 0.0256
+    # s.
     assert link.latency_s(0.5) == BUCKETS_S[5] == 0.0032
     assert link.latency_s(0.99) == BUCKETS_S[8]
     assert link.latency_s(1.0) == 100.0

@@ -43,6 +43,7 @@ def test_a_robot_can_be_created_by_connecting() -> None:
 
 
 def test_an_unknown_robot_number_is_a_refusal() -> None:
+    # A reply of 0 to connect_robot: there is no such robot.
     server = ScriptedServer({"connect_robot": simple(0)})
     with pytest.raises(RobotRefused, match="number 3"):
         connected(server)
@@ -69,6 +70,7 @@ def test_a_refusal_leaves_the_session_open() -> None:
     assert backend.execute(GS).kind == "state"
 
 
+# Error 7: a person holds the robot. An own message, held_by, returns who; other servers do not have it.
 @pytest.mark.parametrize(("reply", "by"), [(simple(*text_values("viewer 1")), "viewer 1"), (error(1), "")])
 def test_refusal_of_held_robot_names_the_person(reply: Reply, by: str) -> None:
     server = ScriptedServer({"vm": error(7), "held_by": reply})
@@ -76,6 +78,7 @@ def test_refusal_of_held_robot_names_the_person(reply: Reply, by: str) -> None:
     with pytest.raises(RobotHeld, match="release") as refusal:
         backend.execute(VM)
     assert (refusal.value.command, refusal.value.code, refusal.value.by, refusal.value.robot_id) == ("vm", 7, by, 3)
+    # Exceptions are passed between processes.
     assert str(pickle.loads(pickle.dumps(refusal.value))) == str(refusal.value)
     assert backend.execute(GS).kind == "state"
     assert server.names() == ["vm", "held_by", "gs"]
@@ -109,10 +112,14 @@ def test_a_timeout_closes_the_session() -> None:
 @pytest.mark.parametrize(
     "answer",
     [
+        # A reply of four words to gs, whose reply is a state.
         pytest.param(codec.encode_tcp_reply(codec.find_command("get_rc"), Reply("configuration", {34: 1}),
                                         ScriptedServer().wire_state), id="another call's answer"),
+        # 0x04d2 = 1234: no message type.
         pytest.param(bytes.fromhex("04d2 0001 00000000"), id="an unknown type"),
+        # A state reply of 65535 words.
         pytest.param(bytes.fromhex("0050 ffff"), id="an impossible count"),
+        # Two simple replies, type 0x52 = 82, to one request.
         pytest.param(bytes.fromhex("0052 0001 00000000") * 2, id="two answers"),
         pytest.param(bytes.fromhex("0052 0001 00000000 00"), id="an answer and a bit"),
     ],
@@ -133,6 +140,7 @@ def test_a_server_that_is_no_nserver_is_reported() -> None:
         connected(page)
 
 
+# TCP is a stream: a segment may end anywhere.
 def test_a_reply_may_arrive_byte_by_byte() -> None:
     server = ScriptedServer()
 
@@ -169,6 +177,7 @@ def test_a_robot_can_be_stopped_after_ctrl_c() -> None:
     backend = NserverBackend(stream)
     stream.at = "waiting"
     server.slots = {17: 1}
+    # The replies to both vm arrive after Ctrl-C, before the reply to st.
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
             backend.execute(VM)
@@ -176,9 +185,11 @@ def test_a_robot_can_be_stopped_after_ctrl_c() -> None:
     server.slots = {17: 2}
     assert backend.execute(Call("st")).slots[17] == 2
     assert backend.execute(GS).slots[17] == 2
+    # No vm was repeated, and each reply was matched to its own request.
     assert server.names() == ["vm", "vm", "st", "gs"]
 
 
+# Part of a request may have been sent: the stream cannot be continued.
 def test_an_interrupted_send_closes_the_session() -> None:
     server = ScriptedServer()
     stream = Interrupted(server)
@@ -202,6 +213,7 @@ def test_close_sends_disconnect_once() -> None:
         backend.execute(GS)
 
 
+# disconnect_robot would be sent into an exchange that is not finished.
 def test_close_with_an_outstanding_reply_sends_nothing() -> None:
     server = ScriptedServer()
     stream = Interrupted(server)
@@ -238,15 +250,20 @@ seen: list[float] = []
     ("call", "speed", "timeout_s"),
     [
         (GS, 10, 2.0),
+        # State[0] = 1: a tenth of real time, so that zr may take ten times as long.
         (GS, 1, 2.0),
         (Call("zr"), 10, 120.0),
         (Call("zr"), 1, 1200.0),
+        # 20 s of ws and the ordinary 2 s.
         (Call("ws", (1, 1, 1, 20)), 10, 22.0),
         (Call("ws", (1, 1, 1, 20)), 5, 42.0),
+        # Faster than real time: the limit is not shortened.
         (Call("ws", (1, 1, 1, 20)), 50, 22.0),
+        # Paused: no factor can be given.
         (Call("ws", (1, 1, 1, 20)), 0, 22.0),
         (Call("ws", (1, 1, 1, -1)), 10, 2.0),
         (Call("arm_zr", (0,)), 10, 30.0),
+        # A click in a window has 120 s.
         (Call("get_robot_conf"), 10, 120.0),
     ],
 )
@@ -266,6 +283,7 @@ def test_a_faster_server_shortens_the_timeout(monkeypatch: pytest.MonkeyPatch) -
     server = ScriptedServer()
     server.slots = {0: 1}
     backend = NserverBackend(DeadlineRecorder(server), timeout_s=2.0)
+    # The speed in the last reply counts, twice real time, and not the one at the start.
     server.slots = {0: 20}
     backend.execute(GS)
     backend.execute(Call("ws", (1, 0, 0, 20)))
@@ -281,6 +299,7 @@ def over_tcp(port: int, timeout_s: float = 5.0) -> NserverBackend:
 
 def test_a_call_notices_that_the_server_disconnects() -> None:
     def talk(connection: socket.socket) -> None:
+        # connect_robot and ct are answered, the third request is read, and the socket is closed.
         by_script(ScriptedServer(), calls=2)(connection)
         connection.recv(65536)
 
@@ -305,6 +324,7 @@ def test_half_a_reply_then_close_is_a_lost_connection() -> None:
     def talk(connection: socket.socket) -> None:
         by_script(server, calls=2)(connection)
         server.send(connection.recv(65536))
+        # The first 50 bytes of a state reply, which has 200 or more.
         connection.sendall(server.receive()[:50])
 
     with on_socket(talk) as port:
@@ -321,6 +341,7 @@ def test_half_a_reply_then_silence_is_a_timeout() -> None:
         by_script(server, calls=2)(connection)
         server.send(connection.recv(65536))
         connection.sendall(server.receive()[:50])
+        # The other end waits until the client gives up.
         assert connection.recv(1) == b""
 
     with on_socket(talk) as port:
@@ -358,6 +379,7 @@ def test_exchanges_are_counted_if_statistics_are_given() -> None:
     assert backend.link is link
     assert NserverBackend(MemoryStream(ScriptedServer())).link is None
     backend.execute(GS)
+    # connect_robot, ct and gs.
     assert (link.exchanges, link.answers, link.frames) == (3, 3, 3)
     server.answers["gs"] = None
     with pytest.raises(ReplyTimeout):
@@ -369,10 +391,12 @@ def test_a_state_with_the_same_bytes_is_the_same_reply() -> None:
     server = ScriptedServer()
     backend = connected(server)
     first = backend.execute(GS)
+    # Unchanged bytes return the same object: they are not decoded again.
     assert backend.execute(VM) is first
     server.slots = {17: 6}
     changed = backend.execute(GS)
     assert changed.slots[17] == 6
+    # The bytes of the first reply again: equal, but only the last one is cached.
     server.slots = {0: 10}
     assert backend.execute(GS) == first
 
@@ -381,6 +405,7 @@ def test_a_reply_in_another_form_is_read_anew() -> None:
     server = ScriptedServer()
     backend = connected(server)
     first = backend.execute(GS)
+    # The format of the next reply has changed, so that equal bytes could have another meaning.
     backend.execute(Call("ct", EVERYTHING.with_position(Position.COMPASS).smask))
     assert list(backend.execute(GS).stamps) == ["compass"]
     assert not first.stamps

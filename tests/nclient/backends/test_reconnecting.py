@@ -55,11 +55,13 @@ def test_the_call_after_a_loss_reconnects() -> None:
     backend.execute(GS)
     cable.pull()
     with pytest.raises(ConnectionLost, match="this end"):
+        # The command was not executed, or its reply is lost: it is raised, and never repeated.
         backend.execute(Call("vm", (100, 0, 0)))
     assert not backend.closed
     cable.plugged = True
     assert backend.execute(GS).kind == "state"
     assert (cable.link.losses, cable.link.reconnects) == (1, 1)
+    # Reconnecting restores settings; the vm is not sent again.
     assert "vm" not in cable.robot.names()
     assert len(cable.streams) == 2
 
@@ -71,11 +73,13 @@ def test_pauses_double_up_to_a_maximum() -> None:
     for _ in range(7):
         with pytest.raises(ConnectionLost):
             backend.execute(GS)
+    # Doubled from 0.1 s to the maximum of 1 s; the first failure is the loss itself.
     assert cable.waits == [0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
     with pytest.raises(ConnectionLost, match=r"gs: .* 1 s: .*no port"):
         backend.execute(GS)
     cable.plugged = True
     backend.execute(GS)
+    # After a success the pauses start at 0.1 s again.
     cable.pull()
     cable.plugged = True
     cable.waits.clear()
@@ -91,6 +95,7 @@ def test_an_elapsed_pause_is_skipped() -> None:
     cable.pull()
     with pytest.raises(ConnectionLost):
         backend.execute(GS)
+    # The program paused for longer than the pause would last.
     cable.now_s += 60
     cable.plugged = True
     backend.execute(GS)
@@ -109,6 +114,7 @@ def test_mask_timeout_and_speeds_are_restored() -> None:
     cable.plugged = True
     cable.robot.calls.clear()
     assert "sonar_0" in backend.execute(GS).stamps
+    # The first ct belongs to connecting; the second one is the program's, with its stamps.
     assert cable.robot.names() == ["ct", "ct", "conf_tm", "sp", "gs"]
     assert cable.robot.calls[1] == stamped
 
@@ -140,9 +146,11 @@ def test_a_failed_restore_closes_the_new_session() -> None:
     with pytest.raises(ConnectionLost):
         backend.execute(GS)
     cable.plugged = True
+    # The new connection opens, but conf_tm is not answered.
     cable.robot.answers["conf_tm"] = [None]
     with pytest.raises(ConnectionLost, match=r"not back .*conf_tm"):
         backend.execute(GS)
+    # The first stream, and the half restored second one.
     assert cable.robot.closed == 2
     assert backend.execute(GS).kind == "state"
 
@@ -163,6 +171,7 @@ def test_the_robot_number_is_restored_over_tcp() -> None:
         backend.execute(GS)
     assert backend.execute(GS).kind == "state"
     assert servers[1].names() == ["connect_robot", "gs"]
+    # connect_robot(3): the robot of the new connection is the one that the program had created.
     assert servers[1].calls[2].args == (3, 1)
     assert (link.losses, link.reconnects) == (1, 1)
     backend.execute(Call("disconnect_robot", (3, 1)))
@@ -187,12 +196,14 @@ def test_close_ends_the_pause_before_an_attempt() -> None:
         with pytest.raises(ConnectionLost):
             backend.execute(GS)
     cable.plugged = True
+    # The next attempt is due in 60 s, on a clock that stands still.
     backend._next_attempt_s = 60.0
     closing = threading.Timer(0.05, backend.close)
     closing.start()
     with pytest.raises(ConnectionLost):
         backend.execute(GS)
     closing.join()
+    # No stream is left open.
     assert cable.streams[-1]._peer is None
 
 

@@ -16,6 +16,7 @@ from tests.nclient.scripted_server import ScriptedServer
 
 
 def test_motions_and_speech_may_not_be_repeated() -> None:
+    # Each of them moves something, sets a pose, or speaks: executed twice it has another effect.
     never = {"vm", "pr", "pa", "mv", "zr", "ws", "dp", "da", "place_robot", "tk", "arm_zr", "arm_mv", "arm_ws",
              "special_request"}  # fmt: skip
     on_a_line = {name for name, row in BY_NAME.items() if row.line_type is not None or name == "place_robot"}
@@ -40,6 +41,7 @@ def test_the_number_of_retries_is_limited() -> None:
     with pytest.raises(RobotRefused, match="get_sn"):
         backend.execute(Call("get_sn"))
     assert robot.names() == ["get_sn"] * 3
+    # 0 retries: one attempt.
     robot.answers["get_sn"] = [None] * 3
     with pytest.raises(ReplyTimeout):
         RetryingBackend(direct_on(robot), 0).execute(Call("get_sn"))
@@ -62,6 +64,7 @@ def test_refusals_of_this_side_are_not_repeated() -> None:
     assert backend.link.retries == 0
 
 
+# An answer that is missing over TCP closes the session: there is no second attempt.
 def test_nothing_is_repeated_on_a_closed_link() -> None:
     stream = MemoryStream(ScriptedLine())
     backend = RetryingBackend(direct_on(ScriptedLine()), 2)

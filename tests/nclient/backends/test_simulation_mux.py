@@ -17,6 +17,7 @@ def test_the_simulation_answers_only_its_own_commands() -> None:
         first = robot.refresh()
         truth = robot.truth()
         assert (truth.x_in, truth.y_in, truth.seed) == (10, 20, 4)
+        # Commands of the simulation take no simulated time, so that both clocks agree.
         assert truth.time_s == pytest.approx(first.clock_s, abs=1e-6)
         assert robot.refresh().raw_stamps == {}
         assert robot.link is not None
@@ -31,6 +32,7 @@ def test_a_run_on_a_line_equals_one_over_tcp() -> None:
             states = [robot.refresh() for _ in range(20)]
             return [(state.x_in, state.y_in, state.sonars_in) for state in states]
 
+    # Same seed and same commands: the two protocols must not change the order of random numbers.
     assert run(1) == run(0)
 
 

@@ -13,6 +13,7 @@ from nclient.protocol.types import N150, N200, SCOUT, SCOUT_WHEEL_IN_PER_DEG
 from nclient.transports.stream import MemoryStream
 from tests.nclient.scripted_line import Answer, ScriptedLine, direct_on
 
+# 80 and 300 in the wire's tenths.
 BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
 
 
@@ -23,6 +24,7 @@ BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
         ("vm", (-81, 299, 0), (-80, 299, 0)),
         ("vm", (80, 0, 0), (80, 0, 0)),
         ("sp", (200, 450, 450), (80, 300, 300)),
+        # Mode 1 of mv is a velocity, 5 a speed, 4 an acceleration; 0 leaves the axis.
         ("mv", (1, 200, 1, -450, 1, 450), (1, 80, 1, -300, 1, 300)),
         ("mv", (5, 200, 4, 450, 0, 450), (5, 80, 4, 450, 0, 450)),
         ("gs", (), ()),
@@ -49,6 +51,7 @@ def test_limits_are_sent_before_the_first_relative_motion(call: Call) -> None:
     robot.calls.clear()
     backend.execute(call)
     backend.execute(call)
+    # Once, before the first motion that uses the speed of sp: the robot's own setting may be higher.
     assert robot.calls == [Call("mv", (5, 80, 0, 0, 0, 0)), call, call]
 
 
@@ -63,6 +66,7 @@ def test_sp_sets_the_speeds_of_all_axes() -> None:
 def test_mv_sets_the_speed_of_an_axis() -> None:
     robot = ScriptedLine()
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
+    # A program's own speed of 2 in/s is below the limit, and is not replaced.
     asked = [Call("mv", (5, 20, 0, 0, 0, 0)), Call("pr", (100, 0, 0)), Call("mv", (5, 200, 2, 900, 0, 0))]
     for call in asked:
         backend.execute(call)
@@ -75,6 +79,7 @@ def test_axes_that_mv_left_out_get_their_limits() -> None:
     backend.execute(Call("mv", (0, 0, 5, 50, 0, 0)))
     backend.execute(Call("mv", (5, 70, 2, 100, 0, 0)))
     backend.execute(Call("pr", (1, 1, 1)))
+    # The limit of the turret is sent before the motion; translation gets its speed in the same mv.
     assert [call.args for call in robot.calls] == [
         (0, 0, 5, 50, 0, 0), (0, 0, 0, 0, 5, 300), (5, 70, 2, 100, 0, 0), (1, 1, 1)
     ]  # fmt: skip
@@ -88,10 +93,12 @@ def test_an_unanswered_speed_is_sent_again() -> None:
         backend.execute(Call("sp", (30, 450, 450)))
     robot.calls.clear()
     backend.execute(Call("pr", (100, 0, 0)))
+    # The speed may have been set or not: it is sent again, without the axes that have no limit.
     assert robot.calls == [Call("mv", (5, 30, 0, 0, 0, 0)), Call("pr", (100, 0, 0))]
 
 
 def test_a_refused_speed_does_not_count() -> None:
+    # A NAK: type 8 without data.
     refused: list[Answer] = [bytes.fromhex("01 02 00 08 0b 5c")]
     robot = ScriptedLine({"sp": refused})
     backend = SpeedLimiter(direct_on(robot), max_speed_in_s=8)
@@ -111,6 +118,7 @@ def test_speeds_are_sent_again_after_a_link_loss() -> None:
     inner.close()
     with pytest.raises(ConnectionLost):
         backend.execute(Call("gs"))
+    # After a reconnect the robot may have been restarted, with its default speeds.
     again = direct_on(robot)
     backend._inner = again
     robot.calls.clear()
@@ -124,14 +132,18 @@ def test_wheels_of_a_scout_are_limited_together(asked: tuple[int, int]) -> None:
     SpeedLimiter(direct_on(robot), **BOTH).execute(Call("vm", (*asked, 0)))
     right, left, _ = robot.calls[0].args
     assert max(abs(right), abs(left)) <= 80
+    # Half the difference of the wheels turns the robot: 300 tenths of a degree in wheel travel, and 1 of rounding.
     assert abs(right - left) / 2 <= 300 * SCOUT_WHEEL_IN_PER_DEG + 1
+    # The ratio of the wheels is preserved but for rounding, so that the robot follows the same arc.
     assert abs(right * asked[1] - left * asked[0]) <= max(abs(asked[0]), abs(asked[1]))
+    # The oracle: one factor for both wheels, the smallest that any limit needs.
     slowest = min(80 / max(map(abs, asked)), 300 * SCOUT_WHEEL_IN_PER_DEG * 2 / max(1e-9, abs(asked[0] - asked[1])), 1)
     assert right == pytest.approx(asked[0] * slowest, abs=1)
 
 
 def test_mv_and_sp_limit_the_wheels_of_a_scout() -> None:
     robot = ScriptedLine(model=SCOUT)
+    # Wheels set apart may turn in opposite directions: each is limited to a full turn rate.
     wheel = int(300 * SCOUT_WHEEL_IN_PER_DEG)
     backend = SpeedLimiter(direct_on(robot), **BOTH)
     backend.execute(Call("sp", (390, 390, 0)))

@@ -10,9 +10,13 @@ from nclient.protocol.replies import Reply
 
 
 @pytest.mark.parametrize(("flags", "motors", "pieces"), [
+    # Motor bits after each piece: the wait ends when none of the named axes moves.
     ((1, 1, 1), [4, 1, 0], [2, 2, 2]),
+    # 6 is steering and turret, which were not named.
     ((1, 0, 0), [1, 6], [2, 2]),
+    # 7 s in pieces of 2 s.
     ((1, 1, 1), [7, 7, 7, 7], [2, 2, 2, 1]),
+    # No axis is named: nothing is waited for.
     ((0, 0, 0), [7], [2]),
 ])
 def test_pieces_end_when_axes_are_still_or_time_is_over(

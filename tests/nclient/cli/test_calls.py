@@ -23,15 +23,18 @@ def call(text: str, wire_state: WireState = TCP) -> Call:
     ("st", ()),
     ("pr 240 0 -5", (240, 0, -5)),
     ("pr 240.0 0 0", (240, 0, 0)),
+    # The order has 16 entries. 255 ends it, and fills what is not typed.
     ("conf_sn 15 {0, 2, 15}", (15, 0, 2, 15, *[255] * 13)),
     ("conf_sn 15 0 2 255", (15, 0, 2, *[255] * 14)),
     ("conf_ir 4 " + " ".join(map(str, range(16))), (4, *range(16))),
+    # The C call has no process number; the program adds its own.
     ("connect_robot 2", (2, PID)),
     ("ct", EVERYTHING.smask),
     ("ct {0 " + "0 1 " * 21 + "1}", (0, *[0, 1] * 21, 1)),
     ("tk good morning", ("good morning",)),
     ("special_request 200 1 2 3", (200, 1, 2, 3)),
     ("add_obstacle 3 0 0 100 0 0 100", (3, 0, 0, 100, 0, 0, 100)),
+    # Typed as in C; the call holds thousandths of it.
     ("motion_check 0 0 0 400.5 0", (0, 0, 0, 400500.0, 0)),
 ])
 def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -> None:
@@ -63,6 +66,7 @@ def test_invalid_calls_are_reported(text: str, reported: str) -> None:
 
 
 @pytest.mark.parametrize(("text", "wire_state"), [
+    # A number beyond 32 bits, a missing vertex, an unknown type, a number beyond the serial line's 16 bits.
     ("pr 99999999999 0 0", TCP),
     ("add_obstacle 3 0 0", TCP),
     ("motion_check 2 0 0 0 0", TCP),

@@ -16,6 +16,8 @@ import pytest
 from nclient.cli import main
 from nclient.errors import ExtraMissing, StartError, install_command
 
+# Modules for entry points: one that works, one that lacks a dependency, one with an import error, one without a
+# docstring.
 MODULES = {
     "fine": '"""Does nothing, well.\n\nRules: secret."""\n\n\ndef add_arguments(parser):\n'
     '    parser.add_argument("number", type=int)\n\n\ndef run(options):\n    return options.number\n',
@@ -33,6 +35,7 @@ def _commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Subcommands of our own, in place of the installed ones."""
     for name, source in MODULES.items():
         (tmp_path / f"nomad_test_{name}.py").write_text(source)
+        # A module of an earlier test would hide the file that was just written.
         monkeypatch.delitem(sys.modules, f"nomad_test_{name}", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     points = [EntryPoint(name, module, main.GROUP) for name, module in POINTS.items()]
@@ -54,6 +57,7 @@ def test_only_the_named_subcommand_is_imported() -> None:
     assert "nomad_test_nameless" not in sys.modules
 
 
+# Help is read from the source text: importing all commands would take seconds, and fail for some.
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"], []])
 def test_help_lists_all_and_imports_none(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
@@ -86,6 +90,7 @@ def test_help_of_what_is_not_there_says_what_is(capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().err == "nomad: no command 'fien'; did you mean fine?\n"
 
 
+# With the entry points that are really installed.
 def test_every_command_has_a_one_line_description(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     for point in entry_points(group=main.GROUP):
@@ -133,6 +138,7 @@ def test_subcommands_that_are_not_there(name: str, reported: str, capsys: pytest
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith(f"nomad: {reported}")
+    # One line, and no traceback.
     assert printed.err.count("\n") == 1
 
 
@@ -181,8 +187,10 @@ def test_a_reader_that_goes_away_under_a_captured_stdout(monkeypatch: pytest.Mon
     def write(_: argparse.Namespace) -> int:
         raise BrokenPipeError
 
+    # stdout is replaced, as by pytest: it has no file descriptor to redirect to /dev/null.
     replace_run(monkeypatch, write)
     monkeypatch.setattr(sys, "stdout", open_ended := _NoFile())
+    # 141 = 128 + 13, as a shell shows the death by SIGPIPE.
     assert main.main(["fine", "0"]) == 141
     assert open_ended.asked == 1
 
@@ -204,6 +212,7 @@ def test_a_reader_that_goes_away_as_processes() -> None:
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout
+        # The reader closes its end before the command writes its first line.
         process.stdout.close()
         process.stdout = None
         _, errors = process.communicate("> 000f0000\n" * 3, timeout=20)

@@ -23,6 +23,7 @@ def parser() -> Parser:
 
 
 def test_words_files_and_choices() -> None:
+    # WORLD | FILE offers world names and files, WORLD names only, a Path option files.
     made = script(parser(), "bash", WORDS)
     assert "_tool_world_file() {\n  compgen -W 'hall room' -- \"$1\"\n  compgen -f -- \"$1\"\n}" in made
     assert "_tool_world() {\n  compgen -W 'hall room' -- \"$1\"\n  \n}" in made
@@ -55,6 +56,7 @@ def test_metavars_stand_for_what_is_installed() -> None:
 
 @pytest.mark.parametrize(("programs", "made"), [([], ["nomad", "nserver"]), (["nserver"], ["nserver"])])
 def test_scripts_of_all_programs_or_of_those_named(
+    # With no program named, scripts for all programs are written.
     programs: list[str], made: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["completion", "bash", *programs]) == 0

@@ -51,13 +51,16 @@ def a_case(name: str, wire: str, model: Model, port: int, frames: list[tuple[str
 def recorded_cases() -> Iterator[Case]:
     for session in TCP_SESSIONS:
         frames = list(both_ways(exchanges(TCP[session], None)))
+        # On Nserver's port the dissector is chosen by the port, on the other one by the first message.
         for port in (7019, UNKNOWN_PORT):
             yield a_case(f"{session}, port {port}", "tcp", MODELS["n200"], port, frames)
+    # The recorded 64-bit client: only its words of 8 bytes distinguish it.
     frames = [(way, bytes.fromhex(one[key])) for one in LP64["exchanges"]
               for way, key in ((TO_ROBOT, "request"), (TO_HOST, "reply")) if one.get(key)]
     yield a_case("lp64", "tcp64", MODELS["n200"], UNKNOWN_PORT, frames)
     for number, session in enumerate(LINE_SESSIONS):
         model = model_of(session)
+        # The line's port selects the model: a preference of the dissector lists port=model.
         yield a_case(session, "serial", model, 65002 + number, list(both_ways(exchanges(SERIAL[session], model))))
 
 
@@ -73,9 +76,11 @@ def our_cases() -> Iterator[Case]:
     rng = Random(19)
     for wide in (False, True):
         connect = codec.encode_tcp_request(Call("connect_robot", (1, 4711)), wide=wide)
+        # 0x1b6b = 7019, the port that connect_robot returns.
         frames = [(TO_ROBOT, connect), (TO_HOST, codec.build_frame(82, b"\0\0\x1b\x6b", wide=wide, reply=True))]
         state = tcp_wire_state(MODELS["n200"])
         state.wide = wide
+        # Commands without a reply would end the conversation: only disconnect_robot is left out.
         for row in mixed([row for row in COMMANDS if row.tcp_type is not None and row.has_tcp_reply], rng):
             call = a_call(row, rng, line=False)
             codec.update_from_request(call, state)
@@ -85,10 +90,12 @@ def our_cases() -> Iterator[Case]:
         yield a_case(f"random, wide={wide}", "tcp64" if wide else "tcp", MODELS["n200"], UNKNOWN_PORT, frames)
     for number, model in enumerate(MODELS.values()):
         state = serial_wire_state(model)
+        # Only a N200 sends its mask first; mask with position bits 5, laser mode 1.
         frames = [(TO_HOST, build_handshake(Handshake(Mask((5, *[1] * 43)), 1)))] if model.sends_mask else []
         for row in mixed([row for row in COMMANDS if model.name in row.line_models and row.line_type], rng):
             call = a_call(row, rng, line=True)
             frames.append((TO_ROBOT, codec.encode_serial_request(call, state)))
+            # The mask and the laser mode apply to the reply of this very request.
             codec.update_from_request(call, state)
             frames.append((TO_HOST, a_line_frame(row, rng, state)))
         yield a_case(f"random line of {model.name}", "serial", model, 65020 + number, frames)
@@ -96,6 +103,7 @@ def our_cases() -> Iterator[Case]:
 
 def mixed(rows: list[Command], rng: Random) -> list[Command]:
     """Return ct first, then every command at least once in random order."""
+    # Each command twice, and 20 more of those that change or depend on the format of replies.
     many = rows * 2 + rng.choices([row for row in rows if row.name in ("gs", "ct", "conf_ls", "get_ls", "get_sg")] or
                                   rows, k=20)
     rng.shuffle(many)
@@ -103,11 +111,13 @@ def mixed(rows: list[Command], rng: Random) -> list[Command]:
 
 
 def a_call(row: Command, rng: Random, line: bool) -> Call:
+    # Small and large words: a field that is read with too few bits shows in the large ones.
     word = rng.choice((5, 2**31 - 1))
     match row.name:
         case "ct":
             bits = [rng.randrange(2) for _ in range(43)]
             if line:
+                # Smask[41] is not sent on the serial line, and reads 1.
                 bits[40] = 1
             return Call("ct", (rng.choice((0, 31, rng.randrange(32))), *bits))
         case "tk":
@@ -136,6 +146,7 @@ def a_call(row: Command, rng: Random, line: bool) -> Call:
 def a_tcp_reply(row: Command, rng: Random, state: WireState) -> Reply:
     layout = row.tcp_reply
     width = layout.laser_width(state) if layout.laser_width else 1
+    # An error in place of one reply in ten: error replies have no layout of the command.
     if rng.random() < 0.1:
         return Reply("error", values=(rng.randrange(1, 7),))
     values = rng.randrange(12, 20) if layout.values is None else layout.values
@@ -154,6 +165,7 @@ def a_line_frame(row: Command, rng: Random, state: WireState) -> bytes:
 
 
 def expected(case: Case) -> list[dict[str, Any]]:
+    # The oracle is the decoder of `nomad wire decode`, which is Python code; the dissector is a Lua script.
     decoder = WireDecoder(case.wire, case.model)
     return [decoder.request(frame) if way == TO_ROBOT else decoder.reply(frame) for way, frame in case.frames]
 
@@ -162,10 +174,12 @@ class Shown:
     """What the dissector shows of a connection, as `nomad wire decode` prints it."""
 
     def __init__(self, wide: bool) -> None:
+        # The dissector shows what a message carries; the state after it is collected here.
         self.client_state = ClientState()
         self.wide = wide
 
     def message(self, fields: list[tuple[str, str]]) -> dict[str, Any]:
+        # For fields that occur once; repeated ones are taken from the list.
         only = {name.removeprefix("nomad."): value for name, value in fields}
         if "call" in only:
             return self._call(only, fields)
@@ -233,6 +247,7 @@ def dissector(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.long
 def test_every_field_equals_wire_decode(dissector: Path, tmp_path: Path) -> None:
     cases = [*recorded_cases(), *our_cases()]
+    # One capture and one run of tshark for all cases, as its start takes most of the time.
     write_pcap(tmp_path / "all.pcap", [case.conversation for case in cases])
     models = " ".join(f"{case.conversation.port}={case.model.name}" for case in cases if case.wire == "serial")
     ports = ",".join(str(case.conversation.port) for case in cases if case.wire == "serial")
@@ -244,11 +259,14 @@ def test_every_field_equals_wire_decode(dissector: Path, tmp_path: Path) -> None
     for number, case in enumerate(cases):
         shown = Shown(case.wire == "tcp64")
         wanted = expected(case)
+        # 1. As many messages as frames were written: none is missing, and none is an error.
         assert len(found.get(number, ())) == len(wanted), case.name
         for k, (fields, decoded) in enumerate(zip(found[number], wanted, strict=True)):
             assert "error" not in decoded
+            # 2. Field by field equal to the decoder's output.
             assert shown.message(fields) == decoded, (case.name, k, fields)
             messages += 1
+    # Empty cases would pass everything else.
     assert messages > 1500
 
 
@@ -267,6 +285,7 @@ def test_recognizes_lines_and_resumes_after_noise(dissector: Path, tmp_path: Pat
         ]))
     write_pcap(tmp_path / "noise.pcap", cases)
     for messages in dissect(tmp_path / "noise.pcap", dissector).values():
+        # The noise is one error item between two states.
         names = [dict(one).get("nomad.call") or dict(one).get("nomad.reply") or "error" for one in messages]
         assert names == ["gs", "state", "gs", "vm", "state", "state", "error", "state"]
         assert dict(messages[1])["nomad.x"] == dict(messages[-1])["nomad.x"] == "-1234"

@@ -30,6 +30,7 @@ def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("ticking")
+# Latencies are graded, and a busy machine would make them slow: the clock is replaced.
 def test_a_report_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["doctor", "sim:thesis_room"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -46,6 +47,7 @@ def test_a_report_as_an_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert (found["model"], found["worst"]) == ("n200", "OK")
     assert found["findings"][0]["what"] == "link"
     assert found["findings"][0]["grade"] == "OK"
+    # One tick of 1 ms between sending and receiving.
     assert "1.00 ms p50, 1.00 ms p99" in found["findings"][0]["seen"]
 
 
@@ -88,6 +90,7 @@ class Runaway:
 
     def __init__(self, obeys: int = 0, st_answers: tuple[Answer, ...] = (), absent: int = 0) -> None:
         self.script = ScriptedServer()
+        # 10 = real time, x 1.5 in, translation 10 in/s, motor bit 0: a robot that drives.
         self.script.slots = {0: 10, 34: 15, 38: 100, 41: 1}
         self.obeys, self.st_answers, self.absent = obeys, list(st_answers), absent
         self.reported = False
@@ -100,10 +103,12 @@ class Runaway:
 
     def send(self, data: bytes) -> None:
         if data == ST:
+            # 1. st is answered by the script: an error or nothing at first, then a state that still shows the speed.
             self.reported = True
             self.script.answers.pop("st", None)
             if self.st_answers:
                 self.script.answers["st"] = self.st_answers.pop(0)
+        # 2. After `obeys` states the robot stands still.
         elif data == GS and self.reported:
             self.obeys -= 1
             if self.obeys < 0:
@@ -131,9 +136,12 @@ class Time:
 
 
 @pytest.mark.parametrize(("runaway", "reported", "faults"), [
+    # st is sent again after 20 states that show motion: 25 states take two.
     (Runaway(), "1 time", ""), (Runaway(obeys=5), "1 time", ""), (Runaway(obeys=25), "2 times", ""),
+    # A missing reply or an error counts, and st is repeated.
     (Runaway(st_answers=(None, None)), "3 times", ", 2 errors"),
     (Runaway(st_answers=(Reply("error", values=(6,)),) * 2, obeys=1), "3 times", ", 2 errors"),
+    # Four attempts to connect fail, and no st is sent by them.
     (Runaway(absent=4), "1 time", ", 4 errors"),
 ])
 def test_stop_repeats_until_the_robot_stands_still(
@@ -149,6 +157,7 @@ def test_one_that_does_not_stop(capsys: pytest.CaptureFixture[str]) -> None:
     time = Time()
     assert RobotStopper(Runaway(obeys=10**6).opens, time.clock, time.sleep).run(3) == 1
     assert capsys.readouterr().out.startswith("NOT STOPPED: last seen at 10.0 in/s; st sent ")
+    # 3 s of patience, and at most the 20 states of 0.05 s of the last attempt in addition.
     assert 3 <= time.now_s < 4.1
 
 
@@ -156,5 +165,6 @@ def test_one_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     time = Time()
     assert RobotStopper(Runaway(absent=10**6).opens, time.clock, time.sleep).run(1) == 1
     reported = capsys.readouterr()
+    # One attempt each 0.05 s for 1 s.
     assert reported.out == "NOT STOPPED: no reply; st sent 0 times, 20 errors\n"
     assert reported.err == "nomad: no answer\n", "each trouble is reported once"

@@ -32,6 +32,7 @@ def dump(capsys: pytest.CaptureFixture[str]) -> Dump:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A recorded run."""
+    # Lockstep: each request advances the simulation by 0.1 s, so that all times are exact.
     with connect(f"sim:thesis_room?step_s=0.1&record={tmp_path}/run.log") as robot:
         robot.drive(translation_in_s=5)
         robot.read_sonars()
@@ -44,6 +45,7 @@ def test_a_run_line_by_line(dump: Dump, path: Path) -> None:
     code, lines, err = dump(str(path))
     assert (code, err) == (0, "")
     calls = [line.split(" > ")[1].split()[0] for line in lines if " > " in line]
+    # connect() sends connect_robot, ct; closing sends st and disconnect_robot. truth() is sim_truth.
     assert calls == ["connect_robot", "ct", "vm", "get_sn", "get_bp", "sim_truth", "st", "disconnect_robot"]
     assert lines[0] == "     0.000  1 -- open tcp n150"
     assert lines[-1].endswith("1 -- close")
@@ -57,6 +59,7 @@ def test_a_run_line_by_line(dump: Dump, path: Path) -> None:
 
 def test_one_command_with_its_bytes(dump: Dump, path: Path) -> None:
     _, lines, _ = dump(str(path), "--filter", "get_bp", "--bytes")
+    # Types 0x23 = 35 and 0x57 = 87, get_bp and its reply, behind int16 type and uint16 count.
     assert [line.partition("1 ")[2][:20] for line in lines] == [
         "> get_bp", "> [00 23 00 00]", "< bumper 0x0 clock 0", "< [00 57 00 02 00 00"
     ]
@@ -82,6 +85,7 @@ def test_one_of_two_connections(dump: Dump, tmp_path: Path) -> None:
 
 def test_incomplete_recording_is_shown_and_reported(dump: Dump, path: Path) -> None:
     whole = dump(str(path))[1]
+    # The last line lacks its end, as after a crash of the recording program.
     path.write_text(path.read_text()[:-5])
     code, lines, err = dump(str(path))
     assert (code, lines) == (1, whole[:-1])
@@ -91,6 +95,7 @@ def test_incomplete_recording_is_shown_and_reported(dump: Dump, path: Path) -> N
 def test_bare_bytes(dump: Dump, tmp_path: Path) -> None:
     capture = tmp_path / "capture.bin"
     vm = codec.encode_serial_request(Call("vm", (100, -50, 0)), serial_wire_state(N150))
+    # One byte of noise before the frame.
     capture.write_bytes(b"\xee" + vm)
     assert dump(str(capture), "--line", "serial")[1] == [
         "     0.000  > ! 1 bytes that are no frame", "     0.000  > vm 100 -50 0"
@@ -108,6 +113,7 @@ def test_bare_bytes(dump: Dump, tmp_path: Path) -> None:
 
 
 def test_a_year_of_frames_in_words() -> None:
+    # Each kind of frame once: only the fields that are set are shown.
     state: list[int | None] = [None] * 45
     nothing = {"State": state, "Laser": None, "clock": None, "volt_cpu": None, "volt_motor": None}
     assert format_frame({"reply": "state", **nothing}) == "state"

@@ -35,6 +35,7 @@ def test_every_command_has_help(row: object) -> None:
 ])  # fmt: skip
 def test_as_many_arguments_as_the_c_call_has(name: str) -> None:
     declared = getattr(capi, name).__code__
+    # connect_robot of the Python interface has optional arguments besides the robot number of the C call.
     wanted = 1 if name == "connect_robot" else declared.co_argcount
     assert len(parameters(BY_NAME[name])) == wanted
 

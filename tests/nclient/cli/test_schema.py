@@ -43,6 +43,7 @@ def blocks(page: str) -> list[str]:
     return [textwrap.dedent(block) for block in re.findall(r"^ *```toml\n(.*?)```", text, re.DOTALL | re.MULTILINE)]
 
 
+# All files that the project ships or shows: worlds, fault plans, missions, setups of the docs, and the templates.
 FILES: list[tuple[str, str]] = [
     *(("world", path.read_text(encoding="utf-8")) for path in sorted(SHIPPED.glob("*.toml"))),
     *(("faults", path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("*.toml"))),
@@ -90,22 +91,26 @@ def test_an_unknown_kind_is_refused_with_a_suggestion(capsys: pytest.CaptureFixt
 def test_values_in_units_are_described() -> None:
     start = file_schema("world")["$defs"]["Start"]["properties"]
     assert start["x_cm"]["description"].endswith("in centimetres")
+    # 100000 in are 254000 cm.
     assert (start["x_cm"]["maximum"], start["x_in"]["maximum"]) == pytest.approx((254000.0, 100000.0))
     assert file_schema("setup")["$defs"]["Sonar"]["properties"]["sound_in_s"]["description"] == "speed of sound, in/s"
 
 
 @pytest.mark.parametrize(("kind", "text"), FILES)
 def test_files_of_the_project_are_valid(kind: str, text: str) -> None:
+    # The oracle of each is the other: the published schema, and the reader that the programs use.
     validator(kind).validate(tomllib.loads(text))
     assert is_read(kind, text) == ""
 
 
 # Mutated files
 
+# A value of each type and of each boundary that a key could have by mistake.
 VALUES: list[Any] = [
     True, "", " ", "word", -1, 0, 1, 0.5, 2.5, 17, 12345678.5, float("inf"), [], [1], ["word"], [[1, 2]], [[1, 2], [3]],
     {}, {"word": 1}, [{}],
 ]  # fmt: skip
+# Keys of other tables, and pairs that exclude each other.
 ADDED: list[tuple[str, Any]] = [
     ("word", 1), ("x_m", 1.0), ("points_cm", [[0, 0], [1, 0]]), ("corners_in", [[0, 0], [1, 0], [1, 1]]),
     ("percent", 1), ("first", 2), ("at", [1]), ("at", 1), ("every", 3), ("delay_s", 1.0), ("keep", 1),
@@ -114,6 +119,7 @@ ADDED: list[tuple[str, Any]] = [
     ("std_share", 0.5), ("range_std_relative", 0.5), ("way_loss_db_in", 1.0), ("base", "worn"), ("do", "delay"),
     ("do", ["drop", "nak"]), ("do", ["drop", "drop"]), ("radius_in", 3), ("bumpers", 5),
 ]  # fmt: skip
+# JSON Schema cannot express conditions on geometry, on other entries or on sums.
 BEYOND_THE_SCHEMA = re.compile(
     "place inside the world|place of start|same point|first corner|cross$|on one line|earlier|whole number from 0 to 0"
     "|model to be made from|unknown key; expected one of name, like|in small letters|jitter_s|together|until_s"
@@ -141,13 +147,16 @@ def mutants(values: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
         _, table = copied()
         for key in list(table) if isinstance(table, dict) else range(min(len(table), 1)):
+            # 1. One entry missing.
             mutant, place = copied()
             del place[key]
             yield mutant
+            # 2. One entry replaced.
             for value in VALUES:
                 mutant, place = copied()
                 place[key] = value
                 yield mutant
+        # 3. One entry added.
         if isinstance(table, dict):
             for key, value in ADDED:
                 mutant, place = copied()
@@ -175,15 +184,19 @@ def test_schema_and_reader_agree(kind: str, monkeypatch: pytest.MonkeyPatch) -> 
     for number, mutant in enumerate(chain.from_iterable(mutants(tomllib.loads(seed)) for seed in SEEDS[kind])):
         error = is_read(kind, f"# {number}")  # a text of its own, as parsed worlds are cached by their text
         is_valid = validator(kind).is_valid(mutant)
+        # What the schema accepts, the reader accepts, apart from conditions that no schema expresses.
         if is_valid:
             assert not error or BEYOND_THE_SCHEMA.search(error), mutant
         else:
+            # What the schema refuses, the reader refuses.
             assert error, (mutant, next(validator(kind).iter_errors(mutant)).message)
         refused += not is_valid
+    # The mutants must reach the refusals: a schema that accepts everything would pass the loop.
     assert refused > 300
 
 
 def test_toml_and_json_schema_name_the_same_types() -> None:
+    # TOML has dates; JSON Schema has no type for them.
     assert parse_toml("x = 2026-01-01", "f", ValueError)["x"]
     assert "2026-01-01" in is_read("world", "name = 2026-01-01")
     assert not validator("world").is_valid(tomllib.loads("name = 2026-01-01"))

@@ -40,6 +40,7 @@ def reported(session: Session, text: str) -> str:
 @pytest.mark.long
 def test_a_motion_and_its_end() -> None:
     session = session_on()
+    # 240 tenths of an inch are 24 in.
     assert "moving: translation" in reported(session, "pr(240, 0, 0);")
     assert reported(session, "wait").startswith("x 24.0 in  y 0.0 in")
     assert reported(session, "State[34]") == "State[34] = 240"
@@ -47,9 +48,12 @@ def test_a_motion_and_its_end() -> None:
 
 
 @pytest.mark.parametrize(("address", "text", "notes"), [
+    # Tenths of in/s on the wire: 10000 are 1000 in/s.
     ("sim:thesis_room", "vm 10000 0 0", ["translation 10000 is 1000 in/s, more than the 20 in/s of the n150"]),
     ("sim:thesis_room", "vm -201 0 451", ["translation -201 is 20.1 in/s", "turret 451 is 45.1 deg/s"]),
+    # Exactly the maxima of a N150: 20 in/s and 45 deg/s.
     ("sim:thesis_room", "vm 200 -450 450", []),
+    # sp sets speeds; mv sets a velocity in mode 1 and a distance in mode 2; pr sets distances.
     ("sim:thesis_room", "sp 0 460 0", ["steering 460 is 46 deg/s"]),
     ("sim:thesis_room", "mv 1 300 2 3000 0 0", ["translation 300 is 30 in/s"]),
     ("sim:thesis_room", "pr 10000 0 0", []),
@@ -103,6 +107,7 @@ def test_model_with_more_sensors_reports_more() -> None:
 def test_the_mask_is_set_and_sent_as_in_c() -> None:
     session = session_on("sim:thesis_room?robot=n200")
     assert reported(session, "Smask[17] = 0; Smask[17]") == "Smask[17] = 0\nSmask[17] = 0"
+    # As in C the assignment changes the array only, and ct sends it.
     assert session.wire_state.mask.has(17)  # not yet
     reported(session, "ct")
     assert not session.wire_state.mask.has(17)
@@ -140,6 +145,7 @@ def test_errors_are_reported_before_anything_is_executed(text: str, why: str) ->
     session = scripted(server)
     with pytest.raises(ShellError, match=why):
         reported(session, text)
+    # The second command of a line is checked before the first one is sent.
     assert server.names() == []
 
 
@@ -147,11 +153,13 @@ def test_a_refusal_of_the_robot_is_its_own_error() -> None:
     session = session_on()
     with pytest.raises(RobotRefused, match="quit_server was refused"):
         reported(session, "quit_server")
+    # Error code 5: refused by the setup. It stays in State[44].
     assert "State[44] = 5" in reported(session, "State[44]")
 
 
 def test_what_has_many_numbers_and_no_words_is_shown_as_it_came() -> None:
     server = ScriptedServer()
+    # The scripted server answers with 16 zeros.
     assert reported(scripted(server), "special_request 200 1 2") == " ".join(["0"] * 16)
     assert server.last().args == (200, 1, 2)
     assert reported(scripted(server), "create_robot 3").startswith("x 0.0 in")
@@ -167,6 +175,7 @@ def test_sleep_is_simulated_time_in_this_process_and_costs_none() -> None:
     after = session.robot.state.clock_s
     assert before is not None
     assert after is not None
+    # 3 s in steps of 0.05 s, and at most one step more for the query that ends the wait.
     assert after - before == pytest.approx(3.05, abs=0.051)
     assert slept.total_s == 0
 
@@ -182,6 +191,7 @@ def test_sleep_uses_the_robots_clock() -> None:
 
     session._sleep = pass_time
     reported(session, "sleep 20")
+    # 20 s of a clock that runs ten times as fast take 2 s.
     assert slept.total_s == pytest.approx(2.0, abs=0.06)
 
 
@@ -194,12 +204,14 @@ def test_sleep_uses_real_time_without_a_clock(monkeypatch: pytest.MonkeyPatch) -
     slept = Slept()
     session = scripted(ScriptedServer(), slept)
     silent = session.robot.refresh()
+    # A robot whose replies have no clock: the wait is in real time.
     monkeypatch.setattr(session.robot, "refresh", lambda: replace(silent, clock_ms=None))
     reported(session, "sleep 2")
     assert slept.total_s == 2
 
 
 def test_wait_fails_where_the_robot_moves_on() -> None:
+    # vm has no end, so that the robot still moves after 1 s.
     with pytest.raises(ShellError, match=r" 1 s .*translation 5\.0"):
         reported(session_on(), "vm 50 0 0; wait 1")
 

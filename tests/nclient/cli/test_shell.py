@@ -21,6 +21,7 @@ SIM = "sim:thesis_room"
 
 @pytest.fixture(autouse=True)
 def _at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    # stdin is a terminal here: otherwise the command would read its lines from it.
     stdin = io.StringIO()
     monkeypatch.setattr(stdin, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stdin", stdin)
@@ -40,6 +41,7 @@ def test_a_script_is_done_line_by_line(tmp_path: Path, capsys: pytest.CaptureFix
     assert reported.out.splitlines()[-1] == "pose        x 24.0 in  y 0.0 in  steering 0.0 deg  turret 0.0 deg"
 
 
+# How many lines of output precede the error: a syntax error is found before anything is executed, a refusal is not.
 @pytest.mark.parametrize(("text", "reported", "shown"), [
     ("pr 240 0 0\npr 1\n", ":2: pr takes 3 numbers, not 1: pr translation steering turret", 0),
     ("pr 240 0 0\npr (\n", ":2: pr: a call is pr(1, 2, 3), one pair of parentheses", 0),
@@ -131,6 +133,7 @@ def test_session_continues_after_errors_and_stops_at_exit(capsys: pytest.Capture
     printed = capsys.readouterr()
     assert "no command 'prr'" in printed.err
     assert "help lists all commands; Ctrl-C stops the robot, Ctrl-D exits" in printed.out
+    # One gs for the line; st and disconnect_robot when the session ends.
     assert server.names() == ["gs", "st", "disconnect_robot"]
 
 
@@ -143,8 +146,10 @@ def test_quit_leaves_what_comes_after() -> None:
 def test_ctrl_c_at_the_prompt_stops_a_moving_robot(capsys: pytest.CaptureFixture[str]) -> None:
     server = ScriptedServer()
     assert converse(server, KeyboardInterrupt) == 0
+    # A robot at rest gets no st by Ctrl-C: the one here is that of the end.
     assert server.names() == ["gs", "st", "disconnect_robot"]
     server = ScriptedServer()
+    # Motor bit 0: it moves. One st by Ctrl-C, one at the end.
     server.slots[41] = 1
     assert converse(server, KeyboardInterrupt) == 0
     assert server.names() == ["gs", "st", "st", "disconnect_robot"]
@@ -155,6 +160,7 @@ def test_ctrl_c_while_a_command_runs_does_so_too(monkeypatch: pytest.MonkeyPatch
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
+    # The same as at the prompt, but raised within a command.
     server = ScriptedServer()
     server.slots[41] = 1
     monkeypatch.setattr(Session, "run", interrupt)
@@ -163,6 +169,7 @@ def test_ctrl_c_while_a_command_runs_does_so_too(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_lost_robot_ends_it_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+    # An empty reply: the connection has ended.
     server = ScriptedServer({"gs": b""})
     assert converse(server, KeyboardInterrupt, "gs") == 1
     assert "nomad: gs" in capsys.readouterr().err

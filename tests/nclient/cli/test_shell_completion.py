@@ -16,6 +16,7 @@ def words(text: str) -> list[str]:
 
 @pytest.mark.parametrize(("text", "found"), [
     ("get_s", ["get_sn", "get_sg"]),
+    # Names of all commands, in the order of the table.
     ("  con", ["connect_robot", "conf_ir", "conf_sn", "conf_cp", "conf_ls", "conf_tm", "conf_sg"]),
     ("st", ["state", "st"]),
     ("pr 240 0 0; get_rp", ["get_rpx"]),
@@ -41,6 +42,7 @@ def test_each_comes_with_what_it_is_for() -> None:
     assert candidate.about == "ask for the sonars"
 
 
+# conf_ser exists on a serial line of a N150 only, and sim_truth on none.
 def test_only_what_this_robot_has() -> None:
     on_line = [candidate.word for candidate in shell_session.candidates("", serial_wire_state(N150))]
     assert "conf_ser" in on_line

@@ -33,9 +33,11 @@ def test_lines_are_read_and_saved(tmp_path: Path) -> None:
     with typed("pr 240 0 0\rgs\r", tmp_path / "history") as reader:
         assert [reader.read("n150> "), reader.read("n150> ")] == ["pr 240 0 0", "gs"]
         reader.close()
+    # prompt_toolkit writes each line with a leading "+".
     assert "+pr 240 0 0" in (tmp_path / "history").read_text()
 
 
+# 0x03 is Ctrl-C, 0x04 is Ctrl-D.
 @pytest.mark.parametrize(("key", "raised"), [("\x03", KeyboardInterrupt), ("\x04", EOFError)])
 def test_ctrl_c_and_ctrl_d(key: str, raised: type[BaseException]) -> None:
     with typed(key) as reader, pytest.raises(raised):
@@ -47,6 +49,7 @@ def test_ctrl_c_and_ctrl_d(key: str, raised: type[BaseException]) -> None:
 ])
 def test_a_name_takes_the_place_of_what_was_typed_of_it(line: str, completed: str) -> None:
     (one,) = CommandCompleter(wire_state).get_completions(Document(line), CompleteEvent())
+    # `start_position` is negative: the completion replaces that many characters before the cursor.
     assert line[: len(line) + one.start_position] + one.text == completed
 
 

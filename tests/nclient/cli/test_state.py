@@ -34,6 +34,7 @@ def test_time_of_a_simulation_passes_between_two_states(
     monkeypatch.setattr("time.sleep", lambda _: None)
     assert main.main(["state", "sim:thesis_room", "--every", "0.5", "--count", "2", "clock"]) == 0
     first, second = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()]
+    # The pause of 0.5 s is simulated time, and the query itself advances the clock by 1 ms.
     assert second - first == pytest.approx(0.501)
 
 
@@ -48,6 +49,7 @@ def test_every_and_count_imply_watch(
     monkeypatch.setattr("time.sleep", slept.append)
     assert main.main(["state", "sim:thesis_room", "clock", *words]) == 0
     assert capsys.readouterr().out.count("clock") == looks
+    # A pause between two states, and none after the last one.
     assert slept == [0.0 if "--every" in words else robot.EVERY_S] * (looks - 1)
 
 
@@ -97,6 +99,7 @@ def test_on_a_terminal_it_stays_in_its_place(
     slept: list[float] = []
     server = ScriptedServer()
     robot.watch(robot_on(server), ["error"], 2, 0.5, as_json=False, sleep=slept.append)
+    # ESC [H moves the cursor home, ESC [J clears the screen below it.
     assert capsys.readouterr().out == "\x1b[H\x1b[Jerror       none\n" * 2
     assert slept == [0.5]
     assert server.names() == ["gs", "gs"]

@@ -17,6 +17,7 @@ def watched(server: ScriptedServer, every_s: float = 0.002) -> tuple[Session, St
     return session, StatusPoller(session, every_s)
 
 
+# The poller has a thread of its own: the test waits for its effect, for 10 s at most.
 def until(true: Callable[[], bool]) -> None:
     deadline_s = time.monotonic() + 10
     while not true():
@@ -32,6 +33,7 @@ def test_it_looks_only_while_it_is_let() -> None:
     poller.begin()
     until(lambda: "x 24.0 in" in poller.line())
     poller.pause()
+    # Time for a request in progress to end, before requests are counted.
     time.sleep(0.02)
     looked = len(server.names())
     time.sleep(0.02)
@@ -41,6 +43,7 @@ def test_it_looks_only_while_it_is_let() -> None:
 
 
 def test_it_leaves_a_robot_alone_whose_time_out_is_tried() -> None:
+    # gs would feed the motion timeout that the user wants to see expire.
     server = ScriptedServer()
     session, poller = watched(server)
     session.user_set_timeout = True

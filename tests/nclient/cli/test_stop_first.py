@@ -46,11 +46,14 @@ def test_the_first_bytes_are_st(model: Model, capsys: pytest.CaptureFixture[str]
     code, _ = stopped(robot, model)
     assert code == 0
     assert robot.names()[0] == "st"
+    # Length 2 (type and checksum), type 9 (st); 0x01 + 0x02 + 0x09 = 0x0c.
     assert bytes(robot.requests[:6]) == bytes.fromhex("01 02 00 09 0c 5c")
+    # One st as the first bytes, one after the session has begun.
     assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; st sent 2 times\n"
 
 
 def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    # The model's first command is not answered, but the robot was stopped before it.
     robot = ScriptedLine({"ct": None}, N200)
     code, first = stopped(robot, N200)
     assert code == 1
@@ -61,12 +64,14 @@ def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.C
 
 def test_a_hello_before_the_answer_is_no_answer() -> None:
     robot = ScriptedLine(model=N200)
+    # The handshake of 11 bytes has no frame: it must not count as the reply to st.
     robot.out += build_handshake(Handshake(EVERYTHING, 51))
     code, _ = stopped(robot, N200)
     assert (code, robot.names()[0]) == (0, "st")
 
 
 @pytest.mark.parametrize(("real", "captured"), [(N200, N150), (N200, SCOUT)])
+# The packet of a N200 has another length than those of N150 and Scout, which shows its model.
 def test_another_model_than_the_address_says(real: Model, captured: Model, capsys: pytest.CaptureFixture[str]) -> None:
     code, first = stopped(ScriptedLine(model=real), captured)
     out = capsys.readouterr().out
@@ -84,6 +89,7 @@ def test_st_is_repeated_until_it_is_answered() -> None:
 
 
 def test_a_nak_is_no_answer() -> None:
+    # Type 8: the robot refused. st is sent once more.
     nak = bytes.fromhex("01 02 00 08 0b 5c")
     answers: list[Answer] = [nak]
     robot = ScriptedLine({"st": answers})
@@ -94,6 +100,7 @@ def test_a_nak_is_no_answer() -> None:
 def test_no_reply_closes_the_line(capsys: pytest.CaptureFixture[str]) -> None:
     robot = ScriptedLine({"st": None})
     code, first = stopped(robot, N150, patience_s=0.1)
+    # Two connections of three attempts each, as the patience of 0.1 s allows.
     assert (code, first.stops_sent, robot.closed) == (1, 6, 2)
     reported = capsys.readouterr()
     assert reported.out == "NOT STOPPED: no reply; st sent 6 times, 2 errors\n"
@@ -104,6 +111,7 @@ def test_no_reply_closes_the_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("address", ["serial:///dev/r1?model=n200", "robotd://lab?model=n200&timeout_s=0.5"])
+# `nomad stop` sends ct after st, and does not wait for a handshake, which may have been lost.
 def test_lost_handshake_is_not_waited_for(
     address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

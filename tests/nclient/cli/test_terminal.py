@@ -26,10 +26,12 @@ def test_history_stands_where_the_users_states_do() -> None:
 def test_prompt_toolkit_reads_where_it_is_installed(tmp_path: Path) -> None:
     history = tmp_path / "deep" / "history"
     assert isinstance(open_reader(wire_state, lambda: "", history), PromptReader)
+    # Readable and writable for its owner alone.
     assert history.stat().st_mode & 0o777 == 0o600
 
 
 def test_readline_does_where_it_is_not(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    # As if prompt_toolkit were not installed.
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     plain = open_reader(wire_state, lambda: "", tmp_path / "history")
     assert isinstance(plain, PlainReader)
@@ -47,8 +49,10 @@ def test_without_readline_it_is_input_alone(monkeypatch: pytest.MonkeyPatch, tmp
 def test_readline_is_given_one_name_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     readline = pytest.importorskip("readline")
     monkeypatch.setattr(readline, "get_line_buffer", lambda: "help get_s")
+    # The cursor stands within the word.
     monkeypatch.setattr(readline, "get_endidx", lambda: 10)
     plain = PlainReader(wire_state, None)
+    # readline calls with 0, 1, 2, .. until it gets None.
     assert [plain.complete("get_s", number) for number in range(3)] == ["get_sn", "get_sg", None]
     plain.close()
 
@@ -74,6 +78,7 @@ def test_no_history_is_wanted(tmp_path: Path) -> None:
 def test_libedit_has_its_own_key_binding(monkeypatch: pytest.MonkeyPatch) -> None:
     readline = pytest.importorskip("readline")
     bound: list[str] = []
+    # libedit, the readline of macOS, is recognized by its docstring.
     monkeypatch.setattr(readline, "__doc__", "as libedit has it")
     monkeypatch.setattr(readline, "parse_and_bind", bound.append)
     PlainReader(wire_state, None)
@@ -81,6 +86,7 @@ def test_libedit_has_its_own_key_binding(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_unwritable_history_is_reported_and_ignored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # A file in the place of the directory.
     (tmp_path / "file").write_text("")
     saved = shell._create_history(tmp_path / "file" / "history")
     assert saved is None

@@ -16,6 +16,8 @@ def parsed(*words: str) -> Allowlist:
 
 
 @pytest.mark.parametrize(("host", "let_in"), [
+    # Addresses of this machine; IPv4 addresses as IPv6 sockets show them; addresses within and outside the two
+    # networks.
     ("127.0.0.1", True), ("127.0.1.1", True), ("::1", True), ("", True), ("::ffff:127.0.0.1", True),
     ("192.168.1.7", True), ("::ffff:192.168.1.7", True), ("192.168.2.7", False), ("fe80::1%eth0", False),
     ("2001:db8::5", True), ("2001:db9::5", False),
@@ -27,12 +29,14 @@ def test_a_rule_lets_in_its_networks_and_this_machine(host: str, let_in: bool) -
 
 def test_equal_addresses_are_the_same_machine() -> None:
     rule = parsed("--allow", "10.9.9.0/24")
+    # The client's address equals the one that it connected to: a client on this machine.
     assert rule.allows("192.0.2.2", "192.0.2.2")
     assert rule.allows("fd00::2", "fd00::2")
     assert not rule.allows("192.0.2.3", "192.0.2.2")
     assert not rule.allows("192.0.2.3", "")
 
 
+# A host with bits behind the /24, and more than 32 bits.
 @pytest.mark.parametrize("text", ["nowhere", "192.168.1.7/24", "1.2.3.4/33"])
 def test_what_is_no_network_is_wrong_usage(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):

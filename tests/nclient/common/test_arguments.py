@@ -43,6 +43,7 @@ def refused(parser: Parser, *words: str, capsys: pytest.CaptureFixture[str]) -> 
     (["--hlep"], "no option --hlep; did you mean --help?"),
     (["x", "--verbos3"], "no option --verbos3; did you mean --verbose?"),
     (["--lien=tcp", "x"], "no option --lien; did you mean --line?"),
+    # No option is near enough for a suggestion.
     (["--zzz"], "no option --zzz"),
     (["--lxxe"], "no option --lxxe"),
     (["x", "-q"], "no option -q"),
@@ -64,6 +65,7 @@ def test_what_may_be_left_out_is_not_asked_for(count: str, parser: Parser, capsy
     assert parser.parse_args(["x"]).others in (None, [])
 
 
+# Abbreviations and the separator work as in argparse.
 @pytest.mark.parametrize("words", [["x", "--line", "tcp"], ["--li=tcp", "x"], ["--line", "tcp", "--", "x"]])
 def test_what_is_known_is_read_as_ever(words: list[str], parser: Parser) -> None:
     assert parser.parse_args(words) == argparse.Namespace(file="x", line="tcp", verbose=False)

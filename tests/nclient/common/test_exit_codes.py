@@ -13,8 +13,10 @@ from nclient.common.process import ExitCode, in_short
 
 pytestmark = pytest.mark.long
 
+# The interpreter of the tests, whatever scripts the PATH has.
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 NSERVER = [sys.executable, "-m", "nserver_emu"]
+# Sleeping for 80000 simulated seconds in steps of 1 ms: the command is busy until the signal.
 SHELL = [*NOMAD, "shell", "sim:thesis_room?step_s=0.001", "-c", "State[0]; vm 10 0 0; sleep 80000"]
 
 
@@ -41,6 +43,7 @@ def test_above_128_a_code_is_its_signals(name: str) -> None:
     ([*NOMAD, "stat"], ExitCode.USAGE),
     ([*NSERVER, "--porrt", "0"], ExitCode.USAGE),
     ([*NSERVER, "ctl", "statsu"], ExitCode.USAGE),
+    # 1 s is not enough for this path.
     ([*NOMAD, "localize", "sim:", "--map", "thesis_room", "--waypoints", "0,0", "60,40", "--time-limit", "1"],
      ExitCode.NOT_REACHED),
 ], ids=lambda value: value.name if isinstance(value, ExitCode) else " ".join(value[2:5]))  # fmt: skip
@@ -59,6 +62,7 @@ def test_a_signal_ends_a_shell_with_its_code(number: signal.Signals, code: ExitC
     with subprocess.Popen(SHELL, stdout=subprocess.PIPE, text=True, env=plain) as process:
         assert process.stdout is not None
         try:
+            # The first line of output shows that the command runs.
             assert process.stdout.readline() == "State[0] = 0\n"
             process.send_signal(number)
             assert process.wait(60) == code

@@ -14,6 +14,7 @@ BEYOND = "0x" + "f" * 3600
 @pytest.mark.parametrize(
     "text", [f"seed = {BEYOND}", f"seed = 1\n[[rule]]\nname = [[1, {BEYOND}]]", "a.b = 0b" + "1" * 4097]
 )
+# 4097 bits, one more than allowed, in a table, a list and a nested key.
 def test_integers_too_long_to_print_are_rejected(text: str) -> None:
     with pytest.raises(FaultPlanError, match=r"^plan: .* 4096 bits$"):
         parse_toml(text, "plan", FaultPlanError)

@@ -13,6 +13,7 @@ from nclient.cli import main
 from nclient.common.process import TerminatedBySignal, handle_termination_signals
 
 
+# 128 and the number of the signal.
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_leaves_in_order(number: signal.Signals, code: int) -> None:
     before = signal.getsignal(number)
@@ -36,6 +37,7 @@ def test_a_second_signal_does_not_disturb_the_leaving() -> None:
         try:
             signal.raise_signal(signal.SIGTERM)
         finally:
+            # Signals during the clean-up must not interrupt it.
             signal.raise_signal(signal.SIGHUP)
             signal.raise_signal(signal.SIGTERM)
             left.append("in order")
@@ -48,6 +50,7 @@ def test_a_second_signal_does_not_disturb_the_leaving() -> None:
 def test_what_nohup_ignores_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
+        # As under nohup: the handler of SIGHUP must not be replaced.
         with handle_termination_signals():
             signal.raise_signal(signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
@@ -75,6 +78,7 @@ def test_to_a_terminal_that_was_closed_nothing_is_written(monkeypatch: pytest.Mo
 
     @handle_termination_signals()
     def hung_up() -> None:
+        # The terminal is gone: writing to it fails, and would raise in every later message.
         os.close(ours)
         with pytest.raises(OSError, match="Input/output"):
             os.write(theirs, b"lost")
@@ -82,6 +86,7 @@ def test_to_a_terminal_that_was_closed_nothing_is_written(monkeypatch: pytest.Mo
 
     with pytest.raises(TerminatedBySignal):
         hung_up()
+    # After the signal the descriptor leads to /dev/null: all 7 bytes are accepted.
     assert os.write(theirs, b"nowhere") == 7
     os.close(theirs)
 

@@ -29,6 +29,7 @@ def test_a_signal_exits_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def leave(code: int) -> None:
         raise SystemExit(code)
 
+    # os._exit would end the test run.
     monkeypatch.setattr(os, "_exit", leave)
     with pytest.raises(SystemExit, match="130"), exit_on_interrupt():
         signal.raise_signal(signal.SIGINT)
@@ -53,6 +54,8 @@ def test_scripts_run_the_command(script: SimpleNamespace, command: str, monkeypa
     handlers: list[object] = []
 
     def main() -> int:
+        # 1. The script restored Python's handler before it called the command; 2. Ctrl-C in the command is its exit
+        # code.
         handlers.append(signal.getsignal(signal.SIGINT))
         if len(handlers) == 2:
             raise KeyboardInterrupt
@@ -68,6 +71,7 @@ def test_scripts_handle_signals_before_slow_imports() -> None:
     # Without site, whose files may import anything.
     program = (
         "import sys; sys.path.insert(0, sys.argv[1]); import nclient.cli.__main__, nserver_emu.__main__\n"
+        # Modules that take long to import: Ctrl-C during them would print a traceback.
         "slow = {'typing', 're', 'pathlib', 'argparse', 'logging', 'asyncio', 'numpy'} & set(sys.modules)\n"
         "assert not slow, slow\n"
     )

@@ -30,6 +30,7 @@ def in_shell(command: list[str], redirected: str) -> subprocess.CompletedProcess
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 @pytest.mark.parametrize("flush", [True, False])
+# 10 characters stay in the buffer until the end, 100000 are written at once.
 @pytest.mark.parametrize("size", [10, 100_000])
 def test_full_disk_is_reported_in_one_line(size: int, flush: bool) -> None:
     done = in_shell([sys.executable, "-c", PROGRAM.format(size=size, flush=flush)], ">/dev/full")
@@ -49,6 +50,7 @@ def test_both_commands_report_it(command: list[str], name: str) -> None:
 
 @pytest.mark.long
 def test_a_reader_of_the_list_of_worlds_may_close_early() -> None:
+    # `true` reads nothing and ends; the status is that of the first command.
     done = in_shell(NSERVER, "--list-worlds | true; exit ${PIPESTATUS[0]}")
     assert (done.returncode, done.stderr) == (141, "")
 
@@ -58,17 +60,20 @@ def test_a_reader_of_the_list_of_worlds_may_close_early() -> None:
     ("closed", "reported"), [(">&-", False), ("2>&-", True), ("<&-", True), (">&- 2>&- <&-", False)]
 )
 def test_a_command_goes_without_what_is_closed(closed: str, reported: bool) -> None:
+    # stdout, stderr, stdin and all three closed, which POSIX allows.
     done = in_shell([*NOMAD, "state", "sim:thesis_room", "pose"], closed)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("pose ") == reported
 
 
+# Closed descriptors are given to the next file that is opened: output would go into it.
 def test_no_file_takes_the_number_of_what_is_closed(tmp_path: Path) -> None:
     program = (
         "import sys\nfrom nclient.common import process as outputs\noutputs.ensure_std_streams()\n"
         f"file = open({str(tmp_path / 'saved')!r}, 'w')\nprint('output')\nprint('error', file=sys.stderr)\n"
         "import os\nos.write(1, b'raw')\nos.write(2, b'raw')\n"
     )
+    # All three standard streams are closed.
     done = in_shell([sys.executable, "-c", program], ">&- 2>&- <&-")
     assert done.returncode == 0
     assert (tmp_path / "saved").read_text() == ""

@@ -13,6 +13,7 @@ def test_the_nearest_word_is_offered_or_none() -> None:
 
 
 def test_one_right_letter_of_two_is_enough_and_of_more_it_is_not() -> None:
+    # One letter of two is equal; in longer words half of the letters must not be enough.
     assert closest_match("vn", ("vm", "sonar")) == "vm"
     assert closest_match("vn", ("pr", "lp")) == ""
     assert closest_match("drive", ("bridge", "draw_line")) == "", "half of its letters are not enough"

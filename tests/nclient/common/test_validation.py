@@ -40,6 +40,7 @@ class Inner(msgspec.Struct, forbid_unknown_fields=True):
     size: Number
     name: Text = ""
 
+    # A check that the types cannot express.
     def __post_init__(self) -> None:
         if self.size == 1.5:
             raise InvalidValue("is out of stock", "size")
@@ -85,6 +86,7 @@ class Everything(msgspec.Struct, forbid_unknown_fields=True):
         (-2.5, "-2.5"),
         ({"x": 1}, "a table"),
         ([1, 2], "the list [1, 2]"),
+        # Python refuses to print numbers of more than 4300 digits.
         (10**400, "a number of more than 30 digits"),
         (datetime.date(2006, 1, 2), "2006-01-02"),
     ],
@@ -98,6 +100,7 @@ def test_found_is_never_long() -> None:
     assert len(describe_value("x" * 1000)) < 80
     assert describe_value(list(range(1000))).endswith("...")
     nested: list[Any] = []
+    # Deeper than the recursion limit.
     for _ in range(100_000):
         nested = [nested]
     assert describe_value(nested) == "the list [[[[[...]]]]]"
@@ -176,6 +179,7 @@ def test_a_key_that_looks_like_a_path_is_only_text(key: str) -> None:
         convert({key: 1}, Everything)
 
 
+# Names of fields, so that random data reaches the nested tables.
 KEYS = st.sampled_from([*Everything.__struct_fields__, "size", "name", "do"])
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
@@ -185,6 +189,7 @@ JSON = st.recursive(
 
 
 @given_by(st.dictionaries(KEYS | st.text(max_size=9), JSON, max_size=3))
+# Any other exception than InvalidValue is a failure.
 def test_any_data_is_converted_or_explained(value: dict[str, Any]) -> None:
     with contextlib.suppress(InvalidValue):
         convert(value, Everything)

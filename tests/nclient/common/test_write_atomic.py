@@ -18,6 +18,7 @@ def names(folder: Path) -> list[str]:
 
 
 def test_write_replaces_the_file_and_leaves_no_other(tmp_path: Path) -> None:
+    # More bytes than characters, and more than one buffer.
     long = "é" * 100_000
     for text in ("old", long):
         write_atomic(tmp_path / "file", text, EstimateFileError)
@@ -26,12 +27,14 @@ def test_write_replaces_the_file_and_leaves_no_other(tmp_path: Path) -> None:
 
 
 def test_similar_file_names_are_not_overwritten(tmp_path: Path) -> None:
+    # A file of another program with a similar name.
     (tmp_path / "file.part").write_text("mine")
     write_atomic(tmp_path / "file", "new", EstimateFileError)
     assert (tmp_path / "file.part").read_text() == "mine"
 
 
 def test_leftover_temporary_file_is_overwritten(tmp_path: Path) -> None:
+    # The rest of a run that was killed.
     (tmp_path / ".file.saving").write_text("half of")
     write_atomic(tmp_path / "file", "new", EstimateFileError, "saving")
     assert names(tmp_path) == ["file"]
@@ -51,6 +54,7 @@ def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
+    # A FIFO must be written to, and not be replaced by a file.
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to(tmp_path / "pipe")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
@@ -68,6 +72,7 @@ def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
 def a_full_device(folder: Path) -> Path:
     """One of our own where we may make it: nothing of the system's is lost, should it be replaced after all."""
     try:
+        # Major 1, minor 7: the device that is always full. Only root may create it.
         os.mknod(folder / "device", stat.S_IFCHR | 0o666, os.makedev(1, 7))
         (folder / "device").open("w").close()
     except OSError:
@@ -94,6 +99,7 @@ def test_disk_full_at_the_end_leaves_the_old_file(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
+    # fsync is the last step before the new file replaces the old one.
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(EstimateFileError, match=r"file: .*No space"):
         write_atomic(tmp_path / "file", "new", EstimateFileError)
@@ -128,6 +134,7 @@ def test_missing_folder_and_invalid_name_are_reported(tmp_path: Path) -> None:
 def test_file_is_written_where_folders_cannot_be_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Some file systems do not let a folder be opened for fsync.
     def refused(*_: object) -> int:
         raise PermissionError(13, "Permission denied")
 
@@ -139,6 +146,7 @@ def test_file_is_written_where_folders_cannot_be_opened(
 def test_a_link_planted_as_temporary_file_is_not_followed(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.write_text("precious")
+    # A link with the name of the temporary file, as an attacker would place it in a shared folder.
     (tmp_path / ".file.saving").symlink_to(other)
     write_atomic(tmp_path / "file", "new", EstimateFileError, "saving")
     assert (tmp_path / "file").read_text() == "new"

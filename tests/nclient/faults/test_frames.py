@@ -14,10 +14,12 @@ from tests.nclient.protocol.strategies import cuts, in_pieces
 quick = settings(max_examples=80)
 sent_frames = st.lists(st.builds(build_frame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
 dirt = st.binary(max_size=20)
+# Bytes that occur in frames often: 0x01 and 0x5C, and small numbers as lengths.
 likely = st.lists(st.sampled_from([0, 1, 2, 3, 5, 8, 0x5C]) | st.integers(0, 255), max_size=60).map(bytes)
 words = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=8).map(
     lambda numbers: b"".join(number.to_bytes(4, "big", signed=True) for number in numbers)
 )
+# Types of requests, of replies, and one that does not exist: the stream is cut by the count alone.
 messages = st.tuples(st.sampled_from([12, 15, 16, 102, 300, 80, 91, 999]), words)
 
 
@@ -51,12 +53,14 @@ def test_noisy_line_gives_the_frames_of_the_serial_framer(
     frames, framer = LineFrames(), SerialFramer()
     found = pieces_of(frames, data, places) + frames.flush()
     assert everything(found) == data
+    # The oracle is the framer that clients use: it finds the same frames in the same bytes.
     assert [build_frame(*frame) for frame in framer.receive(data) + framer.expire()] == whole(found)
 
 
 @quick
 @given(likely, cuts)
 def test_no_byte_is_lost_of_what_makes_no_sense(data: bytes, places: list[int]) -> None:
+    # Each kind of framer, with noise that is cut at any place: the pieces joined are the noise.
     for frames in (LineFrames(), LineFrames(HOST_LIMIT), LineFrames(bare=11), TcpFrames(), TcpFrames(None)):
         assert everything(pieces_of(frames, data, places) + frames.flush()) == data
 
@@ -64,6 +68,7 @@ def test_no_byte_is_lost_of_what_makes_no_sense(data: bytes, places: list[int]) 
 def test_bytes_before_the_first_frame_are_one_piece() -> None:
     frames = LineFrames(bare=11)
     frame = build_frame(7)
+    # A valid frame's head within the handshake must not be taken for a frame.
     hello = bytes.fromhex("01080005640032800000ff")
     assert frames.receive(hello[:5]) == []
     assert frames.pending_bytes == 5
@@ -79,6 +84,7 @@ def test_a_length_beyond_the_limit_begins_no_frame() -> None:
 def test_flush_returns_an_incomplete_frame() -> None:
     frames = LineFrames()
     good = build_frame(9, b"\x05")
+    # A length of 32 is awaited, with the good frame inside it.
     assert frames.receive(b"\x01\x20\x00\x07" + good) == []
     assert frames.flush() == [StreamPiece(b"\x01\x20\x00\x07", None), StreamPiece(good, 9)]
 
@@ -108,6 +114,7 @@ def test_connect_determines_the_word_size(wide: bool, places: list[int]) -> None
 
 def test_bytes_after_an_impossible_count_pass_unchanged() -> None:
     frames = TcpFrames()
+    # Type 15 with 65535 words is impossible: from here on no boundary of a message is certain.
     assert frames.receive(b"\x00\x0f\xff\xff") == [StreamPiece(b"\x00\x0f\xff\xff", None)]
     assert frames.receive(b"\x00\x0f\x00\x00") == [StreamPiece(b"\x00\x0f\x00\x00", None)]
 

@@ -45,6 +45,7 @@ def passed(injector: Injector, sent: list[bytes], command: str = "gs") -> list[l
     return [injector.process_frame(frame, command, REPLY, 0.0) for frame in sent]
 
 
+# The oracles look at the bytes alone, and not at what the injector reports.
 def in_place(sent: bytes, arrived: bytes) -> bool:
     """Return True if exactly one byte differs."""
     return len(sent) == len(arrived) and sum(a != b for a, b in zip(sent, arrived, strict=True)) == 1
@@ -67,6 +68,7 @@ def test_no_rule_no_fault() -> None:
 def test_every_nth_is_exact(sent: list[bytes], n: int) -> None:
     injector = one_rule(Drop(), When(every=n))
     arrived = passed(injector, sent)
+    # The n-th, 2n-th, .. frame is lost, and no other.
     assert [number for number, found in enumerate(arrived, start=1) if not found] == list(range(n, len(sent) + 1, n))
     assert injector.counts == {"it": {"seen": len(sent), "drop": len(sent) // n}}
 
@@ -81,10 +83,12 @@ def test_one_faulty_byte_in_every_nth_of_three_kinds(sent: list[bytes], seed: in
         found = injector.process_frame(frame, "gs", REPLY, 0.0)
         data = found[0].data if found else b""
         if data == frame:
+            # A frame that arrives unchanged is none of the n-th ones.
             assert number % n
             continue
         assert number % n == 0
         seen = {"corrupt": in_place, "drop_byte": one_less, "stray": one_more}
+        # Exactly one of the three kinds explains the difference.
         (kind,) = [kind for kind, looks_like in seen.items() if looks_like(frame, data)]
         happened[kind] += 1
     assert injector.counts["byte"] == {"seen": len(sent)} | dict(happened)
@@ -104,6 +108,7 @@ def test_per_cent_counts_what_it_dropped(sent: list[bytes], seed: int, percent: 
 def test_per_cent_is_that_many_in_the_long_run() -> None:
     injector = one_rule(Drop(), When(percent=30.0))
     passed(injector, [FRAME] * 10_000)
+    # Five standard deviations of a binomial distribution, the square root of n p (1 - p).
     assert injector.counts["it"]["drop"] == pytest.approx(3000, abs=5 * (10_000 * 0.3 * 0.7) ** 0.5)
 
 
@@ -115,6 +120,7 @@ def test_noise_of_one_kind_counts_its_bytes(data: bytes, seed: int) -> None:
         found = injector.process_frame(data, "", REPLY, 0.0)
         return (found[0].data if found else b""), injector.counts["it"]
 
+    # One kind at a time: with several, the bytes alone do not show which of them struck.
     arrived, counts = noisy(Noise(corrupt_percent=20.0))
     changed = sum(a != b for a, b in zip(data, arrived, strict=True))
     assert (counts.get("corrupted_bytes", 0), counts["noise"]) == (changed, int(changed > 0))
@@ -133,6 +139,7 @@ def test_noise_has_the_configured_rates() -> None:
         injector.process_frame(bytes(count // 200), "", REPLY, 0.0)
     for kind, percent in (("corrupted_bytes", 1.0), ("dropped_bytes", 2.0), ("added_bytes", 0.5)):
         expected = count * percent / 100
+        # Five standard deviations of a Poisson distribution, the square root of its mean.
         assert injector.counts["it"][kind] == pytest.approx(expected, abs=5 * expected**0.5)
 
 
@@ -145,6 +152,7 @@ def test_a_bit_is_one_bit_at_the_place_wanted(data: bytes, seed: int, place: int
     assert (data[where] ^ found.data[where]).bit_count() == 1
     if place is not None:
         wanted = place if place >= 0 else len(data) + place
+        # A place beyond the frame means its last byte, or its first one.
         assert where == sorted((0, wanted, len(data) - 1))[1]
 
 
@@ -158,6 +166,7 @@ def test_a_cut_leaves_less(data: bytes, seed: int, keep: int | None) -> None:
     assert len(arrived) < len(data)
     if keep is not None:
         assert len(arrived) == min(keep, len(data) - 1)
+    # Without `keep` at least one byte arrives; a frame of one byte cannot be cut otherwise than to nothing.
     elif len(data) > 1:
         assert arrived
 
@@ -190,6 +199,7 @@ def test_delays_add_up_and_jitter_spreads() -> None:
     rules = (Rule("a", (Delay(1.0),)), Rule("b", (Delay(0.5, 0.5),)))
     injector = Injector(Plan(rules), "x")
     delays = [found[0].delay_s for found in passed(injector, [FRAME] * 200)]
+    # 1 s and 0.5 s plus or minus 0.5 s: from 1 to 2 s.
     assert 1.0 <= min(delays) < 1.05
     assert 1.95 < max(delays) <= 2.0
 
@@ -211,12 +221,14 @@ def test_a_hang_up_ends_it_after_so_many_bytes() -> None:
 def test_silence_drops_everything_in_its_direction() -> None:
     rule = Rule("hush", (Blackout(2.0),), When(at=(2,)), ("gs",))
     injector = Injector(Plan((rule,)), "x")
+    # The second gs reply starts 2 s of silence at 1.0 s, for all replies; requests pass.
     passes = [
         (0.0, "gs", REPLY, True), (1.0, "gs", REPLY, False), (1.5, "vm", REPLY, False), (1.6, "vm", REQUEST, True),
         (2.99, "gs", REPLY, False), (3.0, "gs", REPLY, True), (3.1, "gs", REPLY, True),
     ]  # fmt: skip
     for now_s, command, direction, arrives in passes:
         assert bool(injector.process_frame(FRAME, command, direction, now_s)) is arrives
+    # Swallowed frames are not counted as seen: gs at 0, 1, 3 and 3.1 s.
     assert injector.counts["hush"] == {"seen": 4, "silence": 1, "swallowed": 2}
 
 
@@ -224,6 +236,7 @@ def test_rule_applies_to_its_command_direction_line_and_time() -> None:
     rule = Rule("it", (Drop(),), When(from_s=10.0, until_s=20.0), ("gs", "vm"), frozenset({REQUEST}), ("serial:1",))
     plan = Plan((rule,))
     injector = Injector(plan, "serial:1", start_s=100.0)
+    # Times of a rule count from the start of the injector: 110 is 10 s, and 120 is the end.
     assert not injector.process_frame(FRAME, "gs", REQUEST, 110.0)
     assert injector.process_frame(FRAME, "gs", REQUEST, 109.0)
     assert injector.process_frame(FRAME, "gs", REQUEST, 120.0)
@@ -238,6 +251,7 @@ def test_rule_applies_to_its_command_direction_line_and_time() -> None:
 def test_what_a_rule_took_away_those_below_never_see() -> None:
     rules = (Rule("above", (Drop(),), When(every=2)), Rule("below", (Drop(),), When(every=2)))
     injector = Injector(Plan(rules), "x")
+    # The rule below sees four of the eight frames, and drops every second one of those.
     assert [bool(found) for found in passed(injector, [FRAME] * 8)] == [True, False, False, False] * 2
     assert injector.counts == {"above": {"seen": 8, "drop": 4}, "below": {"seen": 4, "drop": 2}}
     assert total(injector.counts) == {"drop": 6}
@@ -248,6 +262,7 @@ def test_what_a_rule_took_away_those_below_never_see() -> None:
 def test_seed_repeats_and_rules_do_not_affect_each_other(sent: list[bytes], seed: int) -> None:
     one = Rule("one", (Corrupt(), InsertBytes(), Cut()), When(percent=50.0))
     other = Rule("other", (Noise(10.0, 10.0, 10.0),), When(percent=50.0), ("st",))
+    # The same rule twice, then with another rule behind it and before it: a rule's random numbers are its own.
     runs = [
         passed(Injector(Plan(rules, seed), "serial:1"), sent) for rules in ((one,), (one,), (one, other), (other, one))
     ]
@@ -267,6 +282,7 @@ def test_counts_begin_anew_and_what_is_counted_by_goes_on() -> None:
     injector.reset()
     assert injector.counts == {"it": {"seen": 0, "drop": 0}}
     assert before == {"it": {"seen": 4, "drop": 1}}
+    # Four frames were seen before: the next third one is the sixth.
     assert [bool(found) for found in passed(injector, [FRAME] * 2)] == [True, False]
 
 

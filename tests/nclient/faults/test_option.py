@@ -54,6 +54,7 @@ def test_the_plan_stands_between_program_and_robot(
         robot.read_sonars()
         with pytest.raises(ReplyTimeout):
             robot.drive(translation_in_s=1)
+    # The refused get_sn was not sent; the reply to vm was dropped after the server had executed it.
     assert [name for name in server.names() if name in ("get_sn", "vm")] == ["get_sn", "vm"]
     assert "faults on nserver so far: {'nak': 1, 'drop': 1}" in caplog.text
 
@@ -87,6 +88,7 @@ def test_on_an_n150_s_own_line_the_first_bytes_are_no_greeting(
     path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'hello'")
     for model, greeted in (("n150", False), ("n200", True)):
         sent = build_frame(21, bytes(8))
+        # The frame has 14 bytes: for a N200 the first 11 of them are the handshake.
         monkeypatch.setattr("nclient.transports.stream.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
         connector = Connector(parse_address(f"robotd://lab?model={model}&faults={path}"))
         stream = connector.open_stream()
@@ -125,6 +127,7 @@ def test_counting_goes_on_when_the_connection_is_made_anew(server: ScriptedServe
         except ReplyTimeout:
             answered.append(False)
         backend.close()
+    # Each session is a new connection: the third and the sixth gs are dropped all the same.
     assert answered == [True, True, False, True, True, False]
     assert connector.plan_injector is not None
     assert connector.plan_injector.counts == {"rule 1": {"seen": 6, "drop": 2}}

@@ -43,6 +43,7 @@ SECONDS = st.floats(0.0, 1000.0)
 PLACES = st.none() | st.integers(-300, 300)
 FAULTS: st.SearchStrategy[Fault] = st.one_of(
     st.builds(Drop),
+    # The jitter must not be larger than the delay.
     st.tuples(SECONDS, SECONDS).map(lambda pair: Delay(max(pair), min(pair))),
     st.builds(Corrupt, st.sampled_from([BIT, BYTE]), PLACES),
     st.builds(DropByte, PLACES),
@@ -64,6 +65,7 @@ METHODS: st.SearchStrategy[dict[str, Any]] = st.one_of(
     st.fixed_dictionaries({"at": st.lists(st.integers(1, 1000), min_size=1).map(tuple)}),
 )
 WHENS = st.builds(lambda method, times: When(**method, **times), METHODS, TIMES)
+# No lone surrogates (category Cs), which UTF-8 cannot encode.
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str.strip)
 RULES = st.builds(
     Rule,
@@ -81,6 +83,7 @@ PLANS = st.builds(
 
 @given(PLANS)
 def test_a_written_plan_reads_back_equal(plan: Plan) -> None:
+    # Written and read again: the two directions check each other.
     assert parse_plan(plan_text(plan)) == plan
 
 
@@ -193,6 +196,7 @@ def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         load_plan(tmp_path / "plan\0.toml")
     odd = tmp_path / "odd.toml"
     odd.write_bytes(b"seed = 1 # \xff")
+    # 0xff is the eleventh byte, and begins no character in UTF-8.
     with pytest.raises(FaultPlanError, match=r"odd\.toml: .*UTF-8.* 11"):
         load_plan(odd)
     monkeypatch.setattr(plan_file, "MAX_BYTES", 3)
@@ -213,6 +217,7 @@ def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ],
 )
 def test_which_frames_a_rule_strikes(when: When, struck: list[int]) -> None:
+    # One random number in [0, 1) for each frame; 50 percent strikes below 0.5.
     draws = [0.0, 0.4999, 0.5, 0.7, 0.9, 0.99999]
     assert [number for number, draw in enumerate(draws, start=1) if when.matches(number, draw)] == struck
 

@@ -98,12 +98,15 @@ def test_delayed_reply_arrives_when_due_or_after_the_timeout() -> None:
     rig = Rig(Delay(2.0))
     assert rig.ask() == GS
     assert rig.clock.now_s == pytest.approx(52.0)
+    # Long waits are cut up, so that closing from another thread ends them.
     assert max(rig.clock.naps) <= MAX_SLEEP_S
     with pytest.raises(ReplyTimeout, match="delayed on purpose"):
         rig.ask(patience_s=0.5)
+    # The caller's deadline of 0.5 s is earlier than the delay of 2 s.
     assert rig.clock.now_s == pytest.approx(52.5, abs=0.1)
     with pytest.raises(ReplyTimeout):
         rig.stream.receive(Deadline.after(-1))
+    # The delayed reply is still delivered when it is due.
     rig.clock.sleep(5.0)
     assert rig.stream.receive(Deadline.after(0)) == GS
 
@@ -114,6 +117,7 @@ def test_a_late_reply_holds_back_those_behind_it() -> None:
     rig.stream.send(VM)
     assert rig.stream.receive(Deadline.after(100)) == GS
     assert rig.stream.receive(Deadline.after(100)) == VM
+    # 2 s for both: VM waits behind GS, and has no delay of its own.
     assert rig.clock.now_s == pytest.approx(52.0)
 
 
@@ -134,6 +138,7 @@ def test_a_corrupted_request_is_sent_corrupted() -> None:
     rig = Rig(Corrupt(place=4), direction=REQUEST)
     rig.stream.send(GS)
     (sent,) = rig.echo.sent
+    # Byte 4 alone differs.
     assert (sent[:4] + sent[5:], sent[4] == GS[4]) == (GS[:4] + GS[5:], False)
 
 
@@ -145,11 +150,13 @@ def test_a_silence_is_over_by_the_clock() -> None:
         rig.ask(VM)
     rig.clock.sleep(1.0)
     assert rig.ask() == GS
+    # The frame that began the silence counts as "silence", and the one dropped within it as "swallowed".
     assert rig.injector.counts["it"] == {"seen": 2, "silence": 1, "swallowed": 1}
 
 
 def test_hang_up_in_a_reply_delivers_the_bytes_before_it() -> None:
     rig = Rig(HangUp(4))
+    # The first four bytes of the reply, and then the end of the connection.
     assert rig.ask() == GS[:4]
     with pytest.raises(ConnectionLost, match="on purpose"):
         rig.stream.receive(Deadline.after(0))
@@ -189,4 +196,5 @@ def test_a_close_while_it_waits_ends_the_waiting() -> None:
     rig.clock.then = lambda: rig.stream.close() if rig.clock.now_s > 51.0 else None
     with pytest.raises(ConnectionLost):
         rig.stream.receive(Deadline.after(100))
+    # Closed after 1 s of the 20 s.
     assert rig.clock.now_s == pytest.approx(51.0, abs=0.1)

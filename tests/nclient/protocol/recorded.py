@@ -12,6 +12,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.types import EVERYTHING, MODELS, Mask, Model
 
 VECTORS = Path(__file__).parents[2] / "vectors"
+# The recording program sent each user packet with this type; the C function takes only the packet's bytes.
 PACKET_TYPE_OF_THE_RECORDER = 200
 
 
@@ -38,9 +39,11 @@ def exchanges(cases: list[dict[str, Any]], model: Model | None) -> Iterator[Exch
     for case in cases:
         calls, mask = _calls(case, mask, model)
         wire = case["exchanges"]
+        # A call that sends nothing, such as one that the client itself refuses, has no exchange.
         assert not wire or len(wire) == len(calls), case["call"]
         for call, exchange in zip(calls, wire, strict=False):
             last = exchange is wire[-1]
+            # DISCONNECT alone has no reply.
             reply = bytes.fromhex(exchange.get("reply", ""))
             decoded = case["decoded"] if last else None
             yield Exchange(call, bytes.fromhex(exchange["request"]), reply, decoded, tuple(case.get("prints", ())))
@@ -51,20 +54,26 @@ def _calls(case: dict[str, Any], mask: Mask, model: Model | None) -> tuple[list[
     args = (given,) if isinstance(given, str) else tuple(given)
     match name:
         case "connect_robot" | "disconnect_robot" if model is None:
+            # The process number of the recorded client is the last word of CONNECT or DISCONNECT.
             pid = int(case["exchanges"][0]["request"][-8:], 16)
             connect = Call(name, (*args, pid))
+            # The C library sends CT with all masks on right after CONNECT, so that one C call makes two exchanges.
             return ([connect, Call("ct", EVERYTHING.smask)] if name == "connect_robot" else [connect]), mask
         case "connect_robot":
+            # A serial line has no CONNECT message: a host of a N200 sends CT alone.
             return [Call("ct", EVERYTHING.smask)], mask
         case "mask":
+            # The two functions of the C library that change the mask both send it with CT.
             mask = Mask(args)
         case "posDataRequest":
             mask = mask.with_position(args[0])
         case "place_robot" if model is not None:
+            # On the serial line place_robot is sent as dp and da.
             return [Call("dp", args[:2]), Call("da", args[2:])], mask
         case "special_request":
             args = (PACKET_TYPE_OF_THE_RECORDER, *args)
         case "ws":
+            # The C library sends each axis flag of ws as 0 or 1.
             args = (*(int(bool(flag)) for flag in args[:3]), args[3])
     if name in ("mask", "posDataRequest", "ct"):
         return [Call("ct", mask.smask)], mask

@@ -36,12 +36,15 @@ LINE_CASE_NAMES = tuple(f"{row.name}-{model.name}" for row, model in LINE_CASES)
 word = st.integers(-(2**31), 2**31 - 1)
 uint8 = st.integers(0, 255)
 uint16 = st.integers(0, 65535)
+# Sign-magnitude: the 16 bits 0x8000 are "minus zero", so that -32768 cannot be sent.
 signed16 = st.integers(-32767, 32767)
 uint32 = st.integers(0, 2**32 - 1)
 flag = st.integers(0, 1)
 _bits = st.lists(flag, min_size=43, max_size=43)
 masks = st.builds(lambda position, bits: Mask((position, *bits)), st.integers(0, 31), _bits)
+# The serial line does not carry Smask[41], and it is read as 1.
 line_masks = masks.map(lambda mask: Mask((*mask.smask[:41], 1, *mask.smask[42:])))
+# Over TCP a reading has 4 words in the line modes 1 and 33, 2 in the point modes 51, 50 and 19, and 1 in the others.
 laser_modes = st.sampled_from((51, 50, 19, 1, 33, 0, 35, 49, 255))
 cuts = st.lists(st.integers(0, 400), max_size=12)
 
@@ -57,11 +60,14 @@ def calls(row: Command, line: bool) -> st.SearchStrategy[Call]:
 def _arguments(row: Command, line: bool) -> st.SearchStrategy[Any]:
     match row.name:
         case "tk":
+            # Serial: 255 bytes of a host's frame, less 6 of the frame and the NUL. TCP: 64 words, less the NUL.
             return st.text(_texts, max_size=248 if line else 255).map(lambda text: (text,))
         case "ct":
             return (line_masks if line else masks).map(lambda mask: mask.smask)
         case "special_request":
+            # Packets 40 to 42 are those of the arm, which have rows of their own in the command table.
             packet = st.integers(0, 255).filter(lambda kind: kind not in (40, 41, 42))
+            # Serial: 255 bytes of a frame, less 6 of the frame and 4 of the packet's own header.
             return st.tuples(packet, st.lists(uint8, max_size=245 if line else 250)).map(lambda t: (t[0], *t[1]))
         case "arm_zr":
             return st.tuples(uint16)
@@ -84,8 +90,10 @@ def _argument(row: Command, name: str, line: bool) -> st.SearchStrategy[int]:
     if not line:
         return word
     if name == "history":
+        # The serial line sends a history of more than 10 as 10: a larger one is not what the parser returns.
         return st.integers(0, 10)
     if row.name == "conf_ls" and name == "mode":
+        # Mode 51 is sent as 35 on the serial line, and 35 is read as 51.
         return uint8.filter(lambda mode: mode != 35)
     if name in ("num_data", "baud") or name.endswith("_mode") or row.name in ("ac", "sp"):
         return uint16
@@ -105,7 +113,9 @@ def obstacles(tail: int) -> st.SearchStrategy[tuple[int, ...]]:
 
 def motion_checks() -> st.SearchStrategy[tuple[float, ...]]:
     """motion_check in thousandths, such as eight words can carry: tens for lengths, any millionth for angles."""
+    # On the wire lengths are hundredths: thousandths that end in 0 survive the truncation.
     length = word.map(lambda value: 10 * value)
+    # On the wire angles are millionths: any word is one, and it is divided by 1000 for the argument.
     angle = word.map(lambda value: value // 1000 if value % 1000 == 0 else value / 1000)
     line = st.tuples(st.just(0), length, length, length, length)
     arc = st.tuples(st.just(1), length, length, angle, angle, length, length, length)
@@ -118,6 +128,7 @@ def tcp_agreements(wide: bool) -> st.SearchStrategy[WireState]:
         wire_state = tcp_wire_state(MODELS["n200"])
         wire_state.set_mask(mask)
         wire_state.set_laser_mode(mode)
+        # After get_sg or get_ls the readings have another number of words than the laser mode has.
         wire_state.laser_width = width or wire_state.laser_width
         wire_state.wide = wide
         return wire_state
@@ -139,6 +150,7 @@ def line_agreements(model: Model) -> st.SearchStrategy[WireState]:
     return st.builds(agreed, line_masks, laser_modes)
 
 
+# Small counts often, and up to the 482 columns of the laser's camera now and then.
 laser_counts = st.one_of(st.integers(0, 12), st.integers(0, 482))
 seeds = st.integers(0, 2**32 - 1)
 
@@ -162,9 +174,12 @@ def line_reply_of(kind: str, seed: int, laser: tuple[int, int], values: int, sig
     """A reply full of random numbers, each in the range that its field on the line has."""
     rng = Random(seed)
     count, width = laser
+    # Each slot in the range of its field: 4 bits infrared, 8 bits sonar and motor status, sign-magnitude of 15 bits
+    # pose and velocities, 3 bytes bumper.
     slots = {slot: rng.randrange(16) for slot in range(1, 17)}
     slots |= {slot: rng.randrange(256) for slot in (*range(17, 33), 41)}
     slots |= {slot: _signed(rng, 15) for slot in range(34, 41)}
+    # The compass is signed in a state packet, and unsigned in the reply to get_cp.
     slots |= {33: rng.randrange(2**24), 43: _signed(rng, 15) if signed_compass else rng.randrange(65536)}
     readings = [rng.randrange(65536) if width == 1 else _signed(rng, 15) for _ in range(count * width)]
     return Reply(
@@ -185,6 +200,7 @@ def in_pieces(data: bytes, places: list[int]) -> list[bytes]:
 
 
 def _word(rng: Random) -> int:
+    # Small numbers of both signs, as poses and velocities are, would be rare among random words.
     return rng.choice((rng.randrange(-(2**31), 2**31), rng.randrange(-300, 300)))
 
 

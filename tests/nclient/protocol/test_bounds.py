@@ -18,11 +18,15 @@ BOUNDED = [row for row in COMMANDS if row.line_type is not None and serial_argum
 def test_the_bytes_go_just_so_far(row: Command) -> None:
     middle = [0] * len(row.arguments)
     for place, (name, least, most) in enumerate(serial_argument_bounds(row.name)):
+        # The flags and the time of ws have no range that one byte gives: flags become 0 or 1, and a long wait is sent
+        # as several.
         if most > 0xFFFF:
             continue
         for value, fits in ((least, True), (most, True), (least - 1, False), (most + 1, False)):
             numbers = [*middle[:place], value, *middle[place + 1 :]]
+            # 1. The error text names the argument exactly if its value is out of range.
             assert (describe_serial_overflow(Call(row.name, tuple(numbers))) == "") is fits, name
+            # 2. Construct refuses the same values, as an independent limit of the field's bytes.
             if name == "history" and value > most:
                 continue  # the line's own clamp, to ten
             if fits:
@@ -33,12 +37,17 @@ def test_the_bytes_go_just_so_far(row: Command) -> None:
 
 
 @pytest.mark.parametrize(("asked", "sent"), [
+    # Signed 16 bits in sign-magnitude: at most 32767 in both directions.
     (Call("vm", (40_000, -40_000, 5)), Call("vm", (32767, -32767, 5))),
+    # Unsigned 16 bits.
     (Call("ac", (-1, 70_000, 3)), Call("ac", (0, 65535, 3))),
     (Call("conf_tm", (256,)), Call("conf_tm", (255,))),
+    # The y of place_robot is a word of dp, its angles are words of da.
     (Call("place_robot", (1, 2, 40_000, 4)), Call("place_robot", (1, 2, 32767, 4))),
+    # ws stays: a wait of more than 255 s is sent in pieces, and flags are not clamped.
     (Call("ws", (7, 0, 1, 600)), Call("ws", (7, 0, 1, 600))),
     (Call("ws", (1, 1, 1, -1)), Call("ws", (1, 1, 1, 0))),
+    # Calls without a table of ranges, or with a wrong number of arguments, are returned as they are.
     (Call("gs"), Call("gs")), (Call("vm", (99_999,)), Call("vm", (99_999,))),
     (Call("tk", ("hello",)), Call("tk", ("hello",))), (Call("nothing", (1,)), Call("nothing", (1,))),
     (Call("arm_mv", (1, 70_000, 1, 70_000)), Call("arm_mv", (1, 70_000, 1, 70_000))),

@@ -18,6 +18,7 @@ from nclient.protocol.commands import (
 )
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
 
+# The tables of docs/protocol.md, copied by hand: an oracle independent of the command table.
 TCP_TYPES = {
     "ac": 10, "sp": 11, "pr": 13, "vm": 12, "mv": 43, "pa": 14, "gs": 15, "st": 17, "lp": 18, "zr": 20, "ct": 16,
     "tk": 19, "dp": 21, "da": 38, "ws": 39, "conf_ir": 22, "conf_sn": 23, "conf_cp": 24, "conf_ls": 25, "conf_tm": 26,
@@ -43,12 +44,14 @@ N200_ONLY = {"pa", "ct", "tk", "conf_ir", "conf_cp", "conf_ls", "conf_sg", "get_
 
 
 def test_every_type_over_tcp() -> None:
+    # The refresh commands have the consecutive types 150 to 159.
     expected = TCP_TYPES | {name: 150 + k for k, name in enumerate(REFRESHES)}
     assert {row.name: row.tcp_type for row in COMMANDS} == expected
 
 
 def test_every_type_on_the_line_and_on_whose() -> None:
     assert {row.name: row.line_type for row in COMMANDS if row.line_type is not None} == LINE_TYPES
+    # The commands of a model's line are all except these.
     missing = {
         model.name: {n for n in LINE_TYPES if not exists_on_serial(BY_NAME[n], model)} for model in MODELS.values()
     }
@@ -58,6 +61,7 @@ def test_every_type_on_the_line_and_on_whose() -> None:
 
 def test_no_name_type_or_method_is_given_twice() -> None:
     assert len(BY_NAME) == len({row.method for row in COMMANDS}) == len(COMMANDS)
+    # The three arm commands share a message type, 300 over TCP and 128 on the serial line, and differ by packet type.
     arms = [row for row in COMMANDS if row.packet_type is not None]
     assert [row.name for row in arms] == ["arm_zr", "arm_ws", "arm_mv"]
     assert sorted(BY_PACKET_TYPE) == [40, 41, 42]
@@ -67,6 +71,7 @@ def test_no_name_type_or_method_is_given_twice() -> None:
 
 
 def test_how_long_a_host_waits_on_the_line() -> None:
+    # A host waits 1 s; zr turns the turret, and user packets may move an arm.
     others = {row.name: row.line_timeout_s for row in COMMANDS if row.line_timeout_s != 1.0}
     assert others == {"zr": 120.0, "special_request": 30.0, "arm_zr": 30.0, "arm_ws": 30.0, "arm_mv": 30.0}
 
@@ -85,6 +90,7 @@ def test_a_row_is_whole(command: Command) -> None:
     if command.extra_arguments:
         name, place = command.extra_arguments
         assert name in ("pid", "mask", "packet_type")
+        # An argument that the C call does not have is one number (pid, packet type) or the 44 of a mask.
         assert command.any_length or len(names[place]) in (1, 44)
 
 

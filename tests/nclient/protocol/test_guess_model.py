@@ -23,14 +23,17 @@ def test_a_packet_looks_like_its_sender(model: Model) -> None:
 
 
 def test_a_n200_in_any_laser_mode() -> None:
+    # The packet's length depends on the number of readings and on their size: pixels in mode 51, lines in mode 33.
     assert guess_model(packet(N200, 51, (3, 1, 2, 3))) is N200
     assert guess_model(packet(N200, 33, (2, *range(8)))) is N200
 
 
 def test_a_touched_scout_is_no_n150() -> None:
+    # N150 and Scout send packets of the same length. On a N150 the top four bumper bits always read 1.
     assert guess_model(packet(SCOUT, slots={33: 0x3F})) is SCOUT
 
 
+# 41 and 43: one byte less and one more than the 42 of a N150 or a Scout.
 @pytest.mark.parametrize("data", [b"", b"\0" * 41, b"\0" * 43])
 def test_packet_of_no_model(data: bytes) -> None:
     assert guess_model(data) is None

@@ -13,9 +13,13 @@ from tests.nclient.protocol.strategies import line_masks
 
 
 def test_where_the_bits_are() -> None:
+    # b0 = 01: slot 1; b2 = 80: slot 24; b4 = 02: slot 34; then compass (43) and 25 = laser (42) + 2 x 18; mode 21 =
+    # 33. Smask[41] is not sent and reads 1.
     found = read_handshake(bytes.fromhex("01 00 80 00 02" "01" "25" "21" "aabbcc"))
     assert [slot for slot in range(1, 44) if found.mask.has(slot)] == [1, 24, 34, 41, 42, 43]
+    # 18 = 2 + 16: position data of sonars and compass.
     assert (found.mask.position, found.laser_mode) == (18, 33)
+    # Only bit 0 of the compass byte counts: fe is "off".
     without = read_handshake(bytes.fromhex("00 00 00 00 00" "fe" "00" "00" "000000"))
     assert [slot for slot in range(1, 44) if without.mask.has(slot)] == [41]
 

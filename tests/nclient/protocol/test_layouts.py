@@ -23,6 +23,8 @@ few = settings(max_examples=3)
 
 def garbage_of(act: Callable[[], object]) -> int:
     """Return the number of objects of a second call that only the garbage collector frees."""
+    # The first call fills caches, which stay referenced. Objects that exist by then are exempt from the collection,
+    # so that only what the second call leaves is counted.
     act()
     gc.disable()
     gc.freeze()
@@ -83,6 +85,7 @@ def test_a_hello() -> None:
 def test_bytes_that_are_no_request() -> None:
     def refused() -> None:
         with pytest.raises(WireError):
+            # The traceback of an exception refers to frames, and their variables may refer to the exception: a cycle.
             codec.decode_tcp_request(codec.TcpFrame(codec.find_command("vm").tcp_type or 0, b"12345"))
 
     assert garbage_of(refused) == 0

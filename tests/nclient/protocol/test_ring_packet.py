@@ -21,10 +21,12 @@ def test_readings_survive_the_packet(clock_ms: int, thousandths: list[int]) -> N
     assert readings.readings_in == tuple(number / 1000 for number in thousandths)
 
 
+# 0x01020304 ms low byte first, 2 readings, 1500 = 0x0005dc and 255000 = 0x03e418 thousandths of an inch.
 def test_low_bytes_come_first() -> None:
     assert pack_ring(0x01020304, [1.5, 255]) == bytes.fromhex("04030201 02 dc0500 18e403")
 
 
+# Nothing; no whole clock; a count of 2 with one reading; a count of 0 with one byte too many.
 @pytest.mark.parametrize("data", ["", "0403", "04030201 02 dc0500", "04030201 00 00"])
 def test_other_data_are_refused(data: str) -> None:
     with pytest.raises(WireError, match="bytes"):

@@ -15,7 +15,9 @@ KINDS = [(BYTES, Int8ub), (SHORTS, Int16ul), (LONGS, Int32ul), (SIGNED_SHORTS, L
 @pytest.mark.parametrize(("run", "element"), KINDS)
 @given(data=st.data())
 def test_a_run_is_its_elements_one_after_another(run: Run, element: object, data: st.DataObject) -> None:
+    # The largest magnitude: one bit less for the sign. Sign-magnitude is symmetric.
     most = 2 ** (8 * run.octets - bool(run.sign)) - 1
+    # The oracle builds each number alone with construct, and not with the code for whole runs.
     numbers = data.draw(st.lists(st.integers(-most if run.sign else 0, most), max_size=20))
     packed = run.pack(numbers)
     assert packed == b"".join(element.build(number) for number in numbers)  # type: ignore[attr-defined]

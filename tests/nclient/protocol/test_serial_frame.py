@@ -11,7 +11,9 @@ from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame, SerialFram
 from tests.nclient.protocol.strategies import cuts, in_pieces
 
 frames = st.lists(st.builds(SerialFrame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
+# Without 0x01 no byte of the noise can look like the start of a frame.
 noise_without_start = st.binary(max_size=30).map(lambda data: data.replace(b"\x01", b"\x02"))
+# vm(100, -50, 0): start, length 8, type 5, three int16 in sign-magnitude, checksum 0x24, end.
 VM = bytes.fromhex("01080005640032800000245c")
 quick = settings(max_examples=60)
 
@@ -22,6 +24,7 @@ def bytes_of(sent: list[SerialFrame]) -> bytes:
 
 def accounted(framer: SerialFramer, found: list[SerialFrame]) -> int:
     assert framer.frames == len(found)
+    # A frame has 6 bytes besides its data: start, length (2), type, checksum, end.
     return sum(len(frame.data) + 6 for frame in found) + framer.skipped_bytes + framer.pending
 
 
@@ -60,9 +63,11 @@ def test_noise_between_frames_is_skipped_and_counted(
 
 @quick
 @given(st.binary(max_size=60), cuts)
+# Noise may contain a start and a length, and then hides the frame behind it.
 def test_noise_hides_a_frame_at_most_until_the_deadline(noise: bytes, places: list[int]) -> None:
     framer = SerialFramer()
     found = [frame for piece in in_pieces(noise + VM, places) for frame in framer.receive(piece)]
+    # The deadline: the incomplete frame is dropped, and the bytes behind its start are searched again.
     found += framer.expire()
     assert SerialFrame(5, VM[4:10]) in found
     assert framer.pending == 0
@@ -70,6 +75,7 @@ def test_noise_hides_a_frame_at_most_until_the_deadline(noise: bytes, places: li
 
 
 @quick
+# Whole frames, the first half of one, and noise, in any order.
 @given(st.lists(st.one_of(st.binary(max_size=80), st.just(VM), st.just(VM[:7])), max_size=8))
 def test_whatever_comes_every_byte_is_accounted_for(pieces: list[bytes]) -> None:
     framer = SerialFramer(limit=255)
@@ -78,9 +84,11 @@ def test_whatever_comes_every_byte_is_accounted_for(pieces: list[bytes]) -> None
     assert framer.pending <= 255
 
 
+# A length below type and checksum; one byte more than a robot's longest frame; the largest number of the field.
 @pytest.mark.parametrize("length", [0, ROBOT_LIMIT - 3, 0xFFFF])
 def test_a_length_that_cannot_be_costs_one_byte_and_no_frame(length: int) -> None:
     framer = SerialFramer()
+    # Only the length is corrupt: its first byte is skipped, then the search finds no start before the next frame.
     corrupt = VM[:1] + length.to_bytes(2, "little") + VM[3:]
     assert framer.receive(corrupt + VM) == [SerialFrame(5, VM[4:10])]
     assert framer.skipped_bytes == len(corrupt)
@@ -88,19 +96,25 @@ def test_a_length_that_cannot_be_costs_one_byte_and_no_frame(length: int) -> Non
 
 def test_corrupt_length_only_waits_for_more_bytes() -> None:
     framer = SerialFramer()
+    # 0x0040 = 64: a valid length, so that the frame seems to have 68 bytes, and 24 are there.
     corrupt = VM[:1] + b"\x40\x00" + VM[3:]
     assert framer.receive(corrupt + VM) == []
     more = framer.receive(VM * 5)
+    # With 84 bytes the candidate is complete and fails. The search continues one byte later, and finds all six
+    # frames.
     assert more == [SerialFrame(5, VM[4:10])] * 6
     assert framer.skipped_bytes == len(corrupt)
 
 
 def test_a_wrong_checksum_and_a_wrong_end() -> None:
     framer = SerialFramer()
+    # The checksum is 25 instead of 24, and the end is right: a checksum error.
     assert framer.receive(VM[:-2] + b"\x25\x5c") == []
     assert framer.bad_checksums == 1
+    # The checksum is right, and the end is wrong: these bytes are no frame, and no checksum error is counted.
     assert framer.receive(VM[:-1] + b"\x5d") == []
     assert framer.bad_checksums == 1
+    # Both were skipped whole: 2 x 12 bytes.
     assert framer.skipped_bytes == 24
 
 
@@ -108,13 +122,16 @@ def test_a_trailing_half_stays_until_the_rest_or_the_deadline() -> None:
     framer = SerialFramer()
     assert framer.receive(VM + VM[:5]) == [SerialFrame(5, VM[4:10])]
     assert framer.pending == 5
+    # The second half completes the frame.
     assert framer.receive(VM[5:]) == [SerialFrame(5, VM[4:10])]
+    # The second half does not come before the deadline.
     framer.receive(VM[:5])
     assert framer.expire() == []
     assert framer.skipped_bytes == 5
 
 
 def test_a_host_forgets_what_came_before_it_asks() -> None:
+    # A late half reply would otherwise swallow the beginning of the next reply.
     framer = SerialFramer()
     framer.receive(VM[:8])
     framer.clear()
@@ -122,6 +139,7 @@ def test_a_host_forgets_what_came_before_it_asks() -> None:
     assert framer.receive(VM) == [SerialFrame(5, VM[4:10])]
 
 
+# The length field counts type and checksum too: 65534 + 2 is beyond its 16 bits. A type is one byte.
 @pytest.mark.parametrize(("kind", "size"), [(5, 65534), (256, 0), (-1, 0)])
 def test_frames_that_cannot_be(kind: int, size: int) -> None:
     with pytest.raises(WireError, match=f"type {kind} with {size} bytes"):

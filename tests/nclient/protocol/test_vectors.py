@@ -38,8 +38,11 @@ STAMP_NAMES = {f"pos_{key}": key for key in ("sonar_0", "sonar_15", "ir_0", "bum
 
 def with_leftovers_of(call: Call, built: bytes, request: bytes) -> bytes:
     """Clear words that the C client leaves undefined: the tail of a text, the end of motion_check."""
+    # A line uses five words of eight: the last three words, 12 bytes, are whatever was in the client's buffer.
     if call.name == "motion_check" and call.args[0] == 0:
         return built[:-12] + request[-12:]
+    # Over TCP (a first byte of 0) the last word holds the rest of the text and its NUL in its low bytes; the other
+    # bytes are undefined.
     if call.name == "tk" and request[0] == 0:
         used = len(call.args[0]) % 4 + 1
         return built[:-4] + request[-4 : len(request) - used] + built[-used:]
@@ -52,8 +55,10 @@ def as_the_line_has_it(call: Call) -> Call:
 
 
 def check_held(held: ClientState, reply: Reply, decoded: dict[str, Any]) -> None:
+    # The C library starts with zeros, where this client stores None.
     assert [value or 0 for value in held.slots] == decoded["State"]
     if "Laser" in decoded and held.laser is not None and held.laser[0]:
+        # The C array still has readings of earlier replies behind the current ones.
         shown = min(len(held.laser), len(decoded["Laser"]))
         assert list(held.laser[:shown]) == decoded["Laser"][:shown]
     for name, key in STAMP_NAMES.items():
@@ -72,14 +77,18 @@ def check_values(reply: Reply, decoded: dict[str, Any]) -> None:
     if "obs" in decoded:
         assert values == decoded["obs"][: len(values)]
     if "pred_state" in decoded:
+        # Entry 0 of the prediction is not sent as one: the C client leaves it 0.
         assert [0, *values[1:33]] == decoded["pred_state"][:33]
         assert list(reply.laser or ()) == decoded["pred_laser"]
     if "collide" in decoded:
+        # Wire: hit, x and y in 1/100, normal in millionths.
         assert [values[1] / 100, values[2] / 100, values[3] / 1e6] == decoded["collide"]
     if "special" in decoded:
         assert values == decoded["special"][: len(values)]
+        # The C buffer is longer than the packet, and zero behind it.
         assert not any(decoded["special"][len(values) :])
     if "arm" in decoded:
+        # Four bytes of packet header, then an int32 result, and for wait the time that remains; low bytes first.
         assert int.from_bytes(bytes(values[4:8]), "little", signed=True) == decoded["arm"]
     if decoded.get("remain"):
         assert int.from_bytes(bytes(values[8:12]), "little") == decoded["remain"]
@@ -87,20 +96,27 @@ def check_values(reply: Reply, decoded: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 def test_tcp_session_in_both_directions(session: str) -> None:
+    # One framer and one state for the whole session: mask and laser mode carry over from call to call.
     wire_state, held = tcp_wire_state(N200), ClientState()
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
     count = 0
     for exchange in exchanges(TCP[session], model=None):
+        # 1. The call is encoded to the recorded bytes.
         built = codec.encode_tcp_request(exchange.call)
         assert with_leftovers_of(exchange.call, built, exchange.request) == exchange.request, exchange.call
+        # 2. A server reads the same call from these bytes.
         (frame,) = requests.receive(exchange.request)
         assert isinstance(frame, TcpFrame)
         assert codec.decode_tcp_request(frame) == exchange.call
+        # 3. The reply is decoded under the mask and laser mode after this request, and encoded to the recorded bytes
+        # again.
         codec.update_from_request(exchange.call, wire_state)
         if exchange.reply:
             check_tcp_reply(exchange, answers, wire_state, held)
         count += 1
+    # A 32-bit client was recognized by its CONNECT.
     assert requests.wide is False
+    # A session without exchanges would pass.
     assert count > 20
 
 
@@ -122,16 +138,20 @@ def test_serial_session_in_both_directions(session: str) -> None:
     host, robot = SerialFramer(), SerialFramer()
     count = 0
     for exchange in exchanges(SERIAL[session], model):
+        # 1. The call is encoded to the recorded bytes, and a robot reads it from them.
         assert codec.encode_serial_request(exchange.call, wire_state) == exchange.request, exchange.call
         (frame,) = host.receive(exchange.request)
         assert codec.decode_serial_request(frame, wire_state) == as_the_line_has_it(exchange.call)
         codec.update_from_request(exchange.call, wire_state)
+        # 2. The reply is decoded under the mask and laser mode after this request.
         (answer,) = robot.receive(exchange.reply)
         reply = codec.decode_serial_reply(answer, wire_state)
+        # The recording program printed "Nak" where the robot refused.
         assert (reply.kind == "nak") == ("Nak" in exchange.prints)
         held.apply_reply(reply)
         if exchange.decoded:
             check_held(held, reply, exchange.decoded)
+        # 3. The decoded reply is encoded to the recorded bytes again.
         assert codec.encode_serial_reply(BY_NAME[exchange.call.name], reply, wire_state) == exchange.reply
         count += 1
     assert count > 4

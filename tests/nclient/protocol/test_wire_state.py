@@ -19,6 +19,7 @@ from nclient.protocol.types import (
 )
 
 
+# Numbers a reading in each mode. On the serial line the bits 1 to 4 of the mode decide: lines if all are clear.
 @pytest.mark.parametrize(("mode", "over_tcp", "on_the_line"), [
     (1, 4, 4), (33, 4, 4), (51, 2, 1), (50, 2, 1), (19, 2, 1), (35, 1, 1), (49, 1, 1), (0, 1, 4), (32, 1, 4),
 ])
@@ -41,6 +42,8 @@ def test_what_each_question_does_to_the_shape_over_tcp() -> None:
     ):
         codec.update_from_request(call, wire_state)
         seen.append((wire_state.laser_width, wire_state.get_laser_width))
+    # get_sg: later state replies in line shape. get_ls in mode 33, a line mode: in point shape, as the reply to
+    # get_ls. conf_ls sets both anew: mode 33 lines, mode 35 one number.
     assert seen == [(2, 2), (4, 2), (4, 2), (4, 2), (2, 2), (4, 2), (1, 1), (1, 1)]
 
 
@@ -50,6 +53,7 @@ def test_serial_laser_layout_depends_on_the_mode_alone() -> None:
     for call in (Call("get_sg"), Call("conf_ls", (33, 0, 0, 0, 0)), Call("get_ls"), Call("conf_ls", (51, 0, 0, 0, 0))):
         codec.update_from_request(call, wire_state)
         seen.append((wire_state.laser_width, wire_state.get_laser_width))
+    # A serial robot sends the shape of its mode, whatever was requested last; get_ls always has pixels.
     assert seen == [(1, 1), (1, 1), (4, 1), (4, 1), (1, 1)]
     assert wire_state.copy().line
 
@@ -60,5 +64,6 @@ def test_terms_at_the_start_and_copies_of_them() -> None:
     wire_state = tcp_wire_state(N150)
     copy = wire_state.copy()
     codec.update_from_request(Call("ct", NO_MASK_MODELS.smask), wire_state)
+    # Copies are independent: a request changes the original only.
     assert copy.mask == EVERYTHING
     assert wire_state.mask == NO_MASK_MODELS

@@ -29,6 +29,7 @@ from worlds.robots import N150
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "sparse_gslam_flights"
 FORMATS = (".log", ".mcap", ".bag", "", ".csv", ".clf")
+# Formats that contain the whole recording besides the drive.
 HOLD_RECORDINGS = (".mcap", ".bag", "")
 
 
@@ -44,12 +45,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def the_same(found: Drive, wanted: Drive, *, velocities: bool = True, bumpers: bool = True) -> None:
+    # Tolerances of the format with the fewest decimals.
     assert len(found.samples) == len(wanted.samples)
     for one, other in zip(found.samples, wanted.samples, strict=True):
         assert one.time_s == pytest.approx(other.time_s, abs=1e-6)
         assert (one.x_m, one.y_m) == pytest.approx((other.x_m, other.y_m), abs=5e-6)
         turrets = [sample.heading_rad if sample.turret_rad is None else sample.turret_rad for sample in (one, other)]
         for angle, wanted_angle in ((one.heading_rad, other.heading_rad), turrets):
+            # Angles modulo a full turn; a sample without a turret has it at the heading.
             assert math.remainder(angle - wanted_angle, math.tau) == pytest.approx(0, abs=2e-6)
         assert one.ranges_m == pytest.approx(other.ranges_m, rel=1e-6, abs=2e-6)
         if velocities:
@@ -72,6 +75,7 @@ def drives() -> st.SearchStrategy[Drive]:
         directions = tuple(math.tau * k / sonars for k in range(sonars))
         return Drive([
             Sample(
+                # Times in eighths of a second, which are exact in binary and in decimal numbers.
                 (k + 1) / 8, rng.uniform(-90, 90), rng.uniform(-90, 90), rng.uniform(-3.1, 3.1), rng.uniform(-3.1, 3.1),
                 rng.uniform(-1, 1), rng.uniform(-1, 1),
                 tuple(rng.choice((math.inf, rng.uniform(0.16, 6.4))) for _ in directions), rng.randrange(2**20),
@@ -90,6 +94,7 @@ def test_drives_survive_every_format(drive: Drive, suffix: str) -> None:
         convert.write_drive(drive, path)
         found = convert.read_drive(path)
         the_same(found, drive, bumpers=suffix != ".clf")
+        # A spreadsheet has no directions of the sonars.
         if suffix != ".csv":
             assert found.directions_rad == pytest.approx(drive.directions_rad, abs=1e-5)
 
@@ -133,9 +138,11 @@ def test_mcap_holds_ros_messages(recorded: Path, tmp_path: Path) -> None:
     assert odometry.pose.pose.position.x == sample.x_m
     assert scan.header.frame_id == "robot1/turret"
     ring_m = N150.sonar_ring_radius_in * M_PER_IN
+    # ROS measures from the centre of the robot, this project from the ring of sonars.
     assert scan.ranges.tolist() == pytest.approx([one + ring_m for one in sample.ranges_m])
     assert (scan.range_min, scan.range_max) == pytest.approx((6 * M_PER_IN + ring_m, 255 * M_PER_IN + ring_m))
     (frames,) = found["/tf_static"]
+    # The fifth sonar of sixteen is 90 degrees to the left on the ring.
     assert frames.transforms[4].transform.translation.y == pytest.approx(ring_m)
     assert scan.angle_increment == pytest.approx(math.tau / 16)
 
@@ -147,6 +154,7 @@ def test_readings_at_the_limits_survive(tmp_path: Path, suffix: str) -> None:
     ranges = (6 * M_PER_IN, 7 * M_PER_IN, math.inf) + (math.inf,) * 13
     drive = Drive([Sample(1.0, ranges_m=ranges)], ring_m=0.25)
     (scan,) = [one.content for one in convert._ros()._messages(drive) if one.topic == "/robot1/sonar"]
+    # 6 in is the shortest reading: a wall may be nearer, which REP-117 writes as -inf.
     assert scan["ranges"][:3] == [-math.inf, pytest.approx(7 * M_PER_IN + 0.25), math.inf]
     convert.write_drive(drive, tmp_path / f"run{suffix}")
     found = convert.read_drive(tmp_path / f"run{suffix}")
@@ -187,12 +195,14 @@ def test_drives_of_others_replay_as_robots(recorded: Path, tmp_path: Path) -> No
     with connect(f"replay:{tmp_path / 'run.bag'}") as robot:
         for sample in drive.samples[:3]:
             state = robot.refresh()
+            # A recording holds tenths of an inch: half a tenth, and 0.001 for the conversion.
             assert state.x_in == pytest.approx(sample.x_m / M_PER_IN, abs=0.051)
             assert [one for one in state.sonars_in if one < 255] == [
                 pytest.approx(range_m / M_PER_IN) for range_m in sample.ranges_m if range_m < math.inf
             ]
         robot.set_position(x_in=10, y_in=-5)
         robot.drive(translation_in_s=5)
+        # A replayed drive reports the pose that the program sets, as a robot's encoders would.
         assert (robot.state.x_in, robot.state.y_in) == (10, -5)
         for _ in drive.samples[3:]:
             robot.refresh()
@@ -201,6 +211,7 @@ def test_drives_of_others_replay_as_robots(recorded: Path, tmp_path: Path) -> No
 
 
 def test_carmen_logs_of_lasers(tmp_path: Path) -> None:
+    # Fields: number of readings, readings, pose of the laser, pose of the robot, time, host, time of the logger.
     text = ("PARAM robot_frontlaser_offset 0.1 nohost 0\n"
             "FLASER 3 1.0 2.0 81.0 5.1 6 0.5 5 6 0.5 1000.5 pc 0.5\n"
             "TRUEPOS 1 2 3 1 2 3 1000.6 pc 0.6\n"
@@ -209,11 +220,14 @@ def test_carmen_logs_of_lasers(tmp_path: Path) -> None:
     drive = convert.read_drive(tmp_path / "log.clf")
     assert [(sample.time_s, sample.x_m) for sample in drive.samples] == [(0.5, 5), (1.5, 5.1)]
     assert drive.directions_rad == pytest.approx((-math.pi / 2, 0, math.pi / 2))
+    # 1000.5 on the machine's clock is 0.5 on the logger's: the drive starts at 1000.
     assert drive.start_s == 1000
     assert drive.omitted == ["1 messages TRUEPOS"]
     convert.write_drive(drive, tmp_path / "log.log")
     assert any("ring of 3" in one for one in drive.omitted)
     (entry,) = [entry for entry in read_recording(tmp_path / "log.log").entries if entry.time_s == 1.5][-1].decoded
+    # 2.5 m in front are 98 in, 81 m to the left are beyond 255 in, 1.5 m to the right are 59 in; nothing measures
+    # behind.
     assert [entry["State"][17 + k] for k in (0, 4, 8, 12)] == [98, 255, 255, 59]
 
 
@@ -225,6 +239,7 @@ def write_bag(path: Path, *messages: tuple[str, Any]) -> None:
         for second, (topic, message) in enumerate(messages, 1):
             if topic not in topics:
                 topics[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
+            # Times of a ROS 1 bag are nanoseconds.
             bag.write(topics[topic], second * 10**9, store.serialize_ros1(message, message.__msgtype__))
 
 
@@ -266,6 +281,7 @@ def test_one_topic_of_each_kind_is_read(tmp_path: Path) -> None:
               ("/other/battery", battery_of(24.0, "right")),
               ("/front", scan_of(1, 2)), ("/rear", scan_of(3, 4, 5)), ("/front", scan_of(2, 3, 4)), ("/range", sonar))
     drive = convert.read_drive(tmp_path / "two.bag")
+    # One pose, one scan: the first topic of each kind, and scans whose size does not change.
     assert [(sample.x_m, sample.ranges_m) for sample in drive.samples] == [(1, (1, 2))]
     left_out = [one.split()[0] for one in drive.omitted]
     assert left_out == ["/b/pose", "/battery", "/other/battery", "/rear", "/range", "1"]
@@ -276,9 +292,11 @@ def test_long_ranges_and_unequal_angles_in_bags(tmp_path: Path) -> None:
     convert.write_drive(drive, tmp_path / "laser.bag")
     assert convert.read_drive(tmp_path / "laser.bag").samples[0].ranges_m == (50, 2, math.inf)
     convert.write_drive(drive, tmp_path / "laser.log")
+    # State has a byte for each sonar: 50 m are beyond it.
     assert any("beyond 255" in one for one in drive.omitted)
     uneven = Drive([Sample(1.0, ranges_m=(1.0, 2.0, 3.0))], (0.0, 0.1, 2.0))
     convert.write_drive(uneven, tmp_path / "uneven.mcap")
+    # A LaserScan has one increment for all its readings.
     assert [one for one in uneven.omitted if "equal angles" in one]
     assert convert.read_drive(tmp_path / "uneven.mcap").samples[0].ranges_m == ()
 
@@ -287,6 +305,7 @@ def test_long_ranges_and_unequal_angles_in_bags(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", HOLD_RECORDINGS)
 def test_recording_cut_short_survives(recorded: Path, tmp_path: Path, suffix: str) -> None:
     """After a power failure the last line is not whole; it must not break the file that it is converted to."""
+    # 50 bytes are less than a line: the last one is incomplete.
     (tmp_path / "cut.log").write_bytes(recorded.read_bytes()[:-50])
     drive = convert.read_drive(tmp_path / "cut.log")
     assert any("cut short" in one for one in drive.omitted)
@@ -328,6 +347,7 @@ def test_scans_before_the_first_pose_are_left_out(tmp_path: Path) -> None:
 
 
 def test_spreadsheets_and_small_numbers(tmp_path: Path) -> None:
+    # With a byte order mark, as spreadsheets write it, and a small number that would be printed as -9e-05.
     (tmp_path / "a.csv").write_text("time_s,x_in,y_in,heading_deg,sonar_0_in\n1.5,-0.00009,2,90,inf\n", "utf-8-sig")
     drive = convert.read_drive(tmp_path / "a.csv")
     assert (drive.samples[0].time_s, drive.samples[0].ranges_m) == (1.5, (math.inf,))
@@ -354,6 +374,7 @@ def test_damaged_text_is_an_error_of_a_recording(tmp_path: Path, text: str, word
 
 
 def test_names_in_a_file_do_not_reach_the_terminal_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # An escape sequence in the name of a message, and 500 different names.
     lines = ["ODOM 0 0 0 0 0 0 0 pc 0", *(f"EVIL\x1b[31m{k} 0" for k in range(500))]
     (tmp_path / "a.clf").write_text("\n".join(lines) + "\n")
     assert main(["convert", str(tmp_path / "a.clf"), str(tmp_path / "a.csv")]) == 0
@@ -378,9 +399,11 @@ def test_random_damage_is_an_error_of_a_recording(recorded: Path, tmp_path: Path
         whole = path.read_bytes()
         for _ in range(25):
             data = bytearray(whole)
+            # Eight wrong bytes in each of 25 copies; half of the copies are cut off as well.
             for _ in range(8):
                 data[rng.randrange(len(data))] = rng.randrange(256)
             path.write_bytes(data[: rng.choice((len(data), rng.randrange(len(data))))])
+            # Any other exception is a failure: a reader of files must not end with a traceback.
             with contextlib.suppress(RecordingError):
                 convert.read_drive(path)
 
@@ -409,6 +432,7 @@ def test_errors_name_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyP
             convert.read_drive(tmp_path / name)
     with pytest.raises(RecordingError, match="suffix"):
         convert.format_to_write(tmp_path / "run.xyz")
+    # The right magic number, and nothing that belongs behind it.
     (tmp_path / "run.mcap").write_bytes(b"\x89MCAP0\r\n rubbish")
     with pytest.raises(RecordingError, match="cannot be read"):
         convert.read_drive(tmp_path / "run.mcap")
@@ -418,6 +442,7 @@ def test_errors_name_file_and_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyP
         convert.write_drive(Drive([Sample(0.0)]), tmp_path / "run.mcap")
     with pytest.raises((RecordingError, AddressError)):
         connect(f"replay:{tmp_path / 'run.mcap'}")
+    # As if the extra with rosbags and mcap were not installed.
     monkeypatch.setitem(__import__("sys").modules, "nclient.recording.ros", None)
     monkeypatch.delattr("nclient.recording.ros", raising=False)
     with pytest.raises(ExtraMissing, match="ros"):

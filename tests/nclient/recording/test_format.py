@@ -13,6 +13,7 @@ from nclient.recording import format as log
 from nclient.recording.format import Entry, RecordingWriter, parse_recording, read_recording
 
 HEADER = '{"format": "nomad recording", "version": 1, "seed": 7}\n'
+# Type 15, no words.
 GS = '{"t": 0.25, "dir": "out", "bytes": "000f0000"}\n'
 
 
@@ -28,6 +29,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     writer = RecordingWriter(path, {"seed": 7})
     for entry in entries:
         writer.write(entry)
+        # A program that is killed loses at most the line that it was writing.
         assert len(path.read_text().splitlines()) == entry.line, "each line is written at once"
     writer.close()
     writer.close()
@@ -57,6 +59,7 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
     found = parse_recording(HEADER + GS + GS.rstrip(), "run.log")
     assert (len(found.entries), found.cut) == (2, "")
     assert parse_recording(HEADER.rstrip(), "run.log").entries == ()
+    # Empty lines are skipped, and counted, so that messages name the right line.
     assert parse_recording(HEADER + "\n" + GS, "run.log").entries[0].line == 3
 
 
@@ -72,6 +75,7 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
     (HEADER + '{"t": 1, "dir": "in", "bytes": "0g"}\n', "line 2: "),
     (HEADER + '{"dir": "in", "bytes": ""}\n', "line 2: .*'t'"),
     (HEADER + "[1]\n", "line 2: "),
+    # Brackets as deep as this exceed the recursion limit of the JSON parser.
     ("[" * 100_000, "line 1: no recording"),
     (HEADER + "[" * 100_000 + "\n", "line 2: .*RecursionError"),
     (HEADER + f'{{"t": {10**400}, "dir": "in", "bytes": ""}}\n', "line 2: .*OverflowError"),
@@ -88,6 +92,7 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
     path = tmp_path / "run.log"
     path.write_text(HEADER + 1000 * GS)
     assert len(read_recording(path).entries) == 1000
+    # 20 blanks make the line longer than the limit, with a valid entry in it.
     path.write_text(HEADER + GS + GS.rstrip() + 20 * " " + "\n")
     with pytest.raises(RecordingError, match=r"run\.log, line 3: longer"):
         read_recording(path)
@@ -96,6 +101,7 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
 def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log, "MAX_LINE", 10_000)
+    # A device without end and without line breaks: reading must stop at the limit.
     with pytest.raises(RecordingError, match=r"/dev/zero, line 1: .* 10000"):
         read_recording(Path("/dev/zero"))
 
@@ -118,6 +124,7 @@ def test_files_that_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_full_disk_is_logged_once_and_the_run_continues(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
+        # Every write to /dev/full fails with "no space left".
         writer = RecordingWriter(Path("/dev/full"), {})
         for _ in range(3):
             writer.write(Entry(0.0, "in", "", bytes(100_000)))
@@ -138,6 +145,7 @@ def test_recording_at_its_maximum_size_ends_with_a_whole_line(
     for number in range(100):
         log.write(Entry(float(number), "out", "one", b"\0" * 10))
     log.close()
+    # The entry that would exceed 1000 bytes is left out whole.
     assert 900 < path.stat().st_size <= 1000
     recording = read_recording(path)
     assert not recording.cut

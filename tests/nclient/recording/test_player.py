@@ -33,12 +33,14 @@ def run(robot: Robot) -> list[tuple[int, ...]]:
 def test_a_recorded_run_is_replayed_without_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "a run.log"
     seen = run(connect(f"{SIM}&record={path}"))
+    # Strict order first, then loose; both must give the states of the recorded run.
     assert run(connect(f"replay:{path}")) == seen
     assert run(connect(f"replay:{str(path).replace(' ', '%20')}?order=loose")) == seen
 
 
 def test_sleep_is_refused_where_it_was_not_recorded() -> None:
     player = Player(load_exchanges(FED))
+    # Error 4: a recording cannot let simulated time pass.
     refusal = codec.encode_tcp_reply(BY_NAME["sim_control"], Reply("error", values=(4,)), tcp_wire_state(N150))
     assert asked(player, "sim_control", 4, 100) == refusal
     # It is no part of the order.
@@ -63,12 +65,14 @@ def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/one.log"))
     run(connect(f"replay:{tmp_path}/one.log?record={tmp_path}/two.log"))
     one, two = ((tmp_path / name).read_text().splitlines() for name in ("one.log", "two.log"))
+    # The first line, the header, names the address.
     assert one[1:] == two[1:]
 
 
 def test_unrecorded_request_is_reported_with_its_line(tmp_path: Path) -> None:
     run(connect(f"{SIM}&record={tmp_path}/run.log"))
     robot = connect(f"replay:{tmp_path}/run.log")
+    # vm was recorded at line 7, and the program sends pr.
     with pytest.raises(RecordingError, match=r"line 7: .*`vm 60 100 0`.*`pr 30 0 0`"):
         robot.move(translation_in=3)
     assert robot.closed
@@ -97,6 +101,7 @@ def asked(player: Player, name: str, *args: int) -> bytes:
 
 
 FED = recording(
+    # What a program sends with its keep-alive: conf_tm at the start and gs at any time.
     ask("conf_tm", 5), answer("conf_tm", 0), ask("vm", 1, 2, 3), answer("vm", 1), ask("gs"), answer("gs", 2),
     ask("gs"), answer("gs", 3), ask("st", at=0.5), answer("st", 4, at=0.75), ask("gs"), answer("gs", 5),
 )
@@ -104,8 +109,10 @@ FED = recording(
 
 def test_keep_alive_requests_may_be_omitted() -> None:
     player = Player(load_exchanges(FED))
+    # The recorded conf_tm is not sent here: requests of the keep-alive may be missing.
     assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
     assert asked(player, "gs") == answer("gs", 2).data
+    # 0.5 s to 0.75 s: the reply takes 0.25 s.
     assert player.answers(codec.encode_tcp_request(Call("st"))) == [ReplyChunk(0.25, answer("st", 4).data)]
     assert player.remaining == 1
     with pytest.raises(RecordingError, match=r"run\.log, line 2: .*`gs`.*`st`"):
@@ -126,6 +133,7 @@ def test_strict_leaves_nothing_else_out() -> None:
 
 
 def test_loose_answers_as_the_next_like_it() -> None:
+    # Loose: the next recorded request with the same bytes, and everything before it is skipped.
     player = Player(load_exchanges(FED), LOOSE)
     assert asked(player, "gs") == answer("gs", 2).data
     assert asked(player, "st") == answer("st", 4).data
@@ -134,6 +142,7 @@ def test_loose_answers_as_the_next_like_it() -> None:
 
 
 def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
+    # The process number differs from the recorded 4711.
     player = Player(load_exchanges(recording(ask("connect_robot", 3, 4711), answer("connect_robot", 7019))))
     request = codec.encode_tcp_request(Call("connect_robot", (3, 5)))
     assert player.answers(request[:5]) == []
@@ -143,18 +152,22 @@ def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
 
 
 def test_pipelined_requests_are_played_one_by_one() -> None:
+    # Three requests in one segment; the reply to the last one is cut into two segments.
     piled = Entry(0.0, "out", "", ask("gs").data + ask("disconnect_robot", 1, 1).data + ask("st").data, line=2)
     both = Entry(0.5, "in", "", answer("gs", 1).data + answer("st", 2).data[:9])
     rest = Entry(0.7, "in", "", answer("st", 2).data[9:])
     player = Player(load_exchanges(recording(piled, both, rest)))
     assert player.answers(ask("gs").data) == [ReplyChunk(0.5, answer("gs", 1).data)]
     assert asked(player, "disconnect_robot", 1, 1) == b""
+    # The reply is complete with its second segment, at 0.7 s.
     assert player.answers(ask("st").data) == [ReplyChunk(0.7, answer("st", 2).data)]
 
 
 def test_what_was_refused_is_refused_again() -> None:
+    # Type 99 does not exist; the server answered with error 1.
     unknown = b"\x00\x63\x00\x00"
     refusal = codec.encode_tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_wire_state(N150))
+    # ws (type 0x27 = 39) with four words of 0, which was answered by a state.
     bad = b"\x00\x27\x00\x04" + bytes(16)
     script = load_exchanges(recording(
         Entry(0, "out", "", unknown, line=2), Entry(0, "in", "", refusal),
@@ -169,6 +182,7 @@ def test_what_was_refused_is_refused_again() -> None:
 
 def test_invalid_calls_are_distinguished_by_their_bytes() -> None:
     def odd(mark: int) -> bytes:
+        # Type 0x012c = 300 with a length of -1: no valid call, so that only its bytes can be compared.
         return b"\x01\x2c\x00\x04" + bytes((0xFF, 0xFF, 0xFF, 0xFF)) * 3 + bytes((0, 0, 0, mark))
 
     (found,) = load_exchanges(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
@@ -192,10 +206,12 @@ def test_unrecorded_conf_tm_gets_the_last_state() -> None:
     player = Player(load_exchanges(recording(
         ask("connect_robot", 1, 1), answer("connect_robot", 1), ask("gs"), answer("gs", 3), ask("st"), answer("st", 4),
     )))
+    # Before any state was sent, the first one of the recording is the reply.
     assert asked(player, "conf_tm", 5) == answer("gs", 3).data, "the first to come, before there was any"
     asked(player, "connect_robot", 1, 2)
     asked(player, "gs")
     asked(player, "st")
+    # Afterwards it is the last state that was sent.
     assert asked(player, "conf_tm", 5) == answer("st", 4).data
     silent = Player(load_exchanges(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
     with pytest.raises(RecordingError, match="sends `conf_tm 5`"):
@@ -207,6 +223,7 @@ def test_a_time_out_on_a_robots_line_too() -> None:
     reported = codec.encode_serial_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
     line = {"wire": "serial"}
     entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
+               # The first reply is incomplete, the second one whole, behind a stray byte.
                Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
     assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [ReplyChunk(0.0, reported)]
     sonars = Entry(0, "out", "", codec.encode_serial_request(Call("get_sn"), serial_wire_state(N150)), line=2)
@@ -218,6 +235,7 @@ def test_a_time_out_on_a_robots_line_too() -> None:
 def test_serial_replay_includes_stray_bytes_and_silence() -> None:
     entries = [
         Entry(0, "open", "1", more={"wire": "serial", "model": "n150"}), Entry(0, "in", "1", b"\xee\xee"),
+        # A stray byte before the request; a reply that lacks one byte; a request without a reply; a whole reply.
         Entry(1.0, "out", "1", b"\x55" + LINE_GS), Entry(1.1, "in", "1", LINE_STATE[:9]),
         Entry(1.3, "in", "1", LINE_STATE[10:]), Entry(2.0, "out", "1", LINE_GS), Entry(3.0, "out", "1", LINE_GS),
         Entry(3.1, "in", "1", LINE_STATE), Entry(4, "close", "1"),
@@ -227,6 +245,7 @@ def test_serial_replay_includes_stray_bytes_and_silence() -> None:
     first, second = player.answers(LINE_GS)
     assert (first.data, second.data) == (LINE_STATE[:9], LINE_STATE[10:])
     assert [first.after_s, second.after_s] == pytest.approx([0.1, 0.3])
+    # Noise of the program is no request.
     assert player.answers(b"\x77\x01") == []
     assert player.answers(LINE_GS) == []
     assert [piece.data for piece in player.answers(LINE_GS)] == [LINE_STATE]
@@ -277,6 +296,7 @@ def test_each_time_it_is_opened_the_next_connection_is_played(tmp_path: Path) ->
         backend.execute(Call("vm", (turn, 0, 0)))
         backend.close()
     played = Connector(parse_address(f"replay:{path}"))
+    # A third opening plays the last connection again.
     for turn in (1, 2, 2):
         backend = played.open()
         backend.execute(Call("vm", (turn, 0, 0)))

@@ -27,12 +27,14 @@ LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, cl
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 @pytest.mark.parametrize("piece", [1, 7, 100_000])
+# Byte by byte, in pieces of 7, and each message at once.
 def test_decoding_in_any_pieces_equals_the_wire_tool(session: str, piece: int) -> None:
     follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp", N150)
     for exchange in exchanges(TCP[session], None):
         for data, follow, decode in ((exchange.request, follower.to_robot, transcript.request),
                                    (exchange.reply, follower.to_host, transcript.reply)):
             found = [item for k in range(0, len(data), piece) for item in follow(data[k : k + piece])]
+            # The oracle decodes each message as a whole.
             assert found == ([decode(data)] if data else [])
 
 
@@ -52,6 +54,7 @@ def test_recorded_lines(session: str) -> None:
 
 def test_a_client_of_64_bits_is_known_by_its_first_request() -> None:
     follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp64", N150)
+    # Three bytes do not show the word size yet.
     assert follower.to_robot(bytes.fromhex(LP64["exchanges"][0]["request"])[:3]) == []
     assert follower.clock_s == 0.0
     follower = FrameDecoder("tcp", N150)
@@ -69,8 +72,10 @@ def test_stray_and_lost_bytes_are_reported() -> None:
     assert state["State"][34] == 7
     assert follower.to_host(LINE_STATE[:-5]) == []
     cut, call = follower.to_robot(LINE_GS)
+    # The beginning of a reply that never became whole is reported when the next request is sent.
     assert cut == {"error": f"{len(LINE_STATE) - 5} bytes of an answer that never became whole"}
     assert call["call"] == "gs"
+    # 1500 ms of the robot's clock.
     assert follower.clock_s == 1.5
     assert "type 99" in FrameDecoder("tcp", N150).to_robot(b"\x00\x63\x00\x00")[0]["error"]
 
@@ -98,6 +103,7 @@ def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
     tape.close()
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [(entry.kind, entry.time_s) for entry in found.entries] == [
+        # Without a clock of its own the recorder uses the one in the replies: 1.5 s from the first state on.
         ("open", 0.0), ("out", 0.0), ("in", 1.5), ("out", 1.5), ("close", 1.5)
     ]
     assert found.entries[0].more == {"wire": "tcp", "model": "n150"}
@@ -115,6 +121,7 @@ def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> 
     recorder.record_step(0.4)
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [(entry.kind, entry.connection, entry.more.get("steps")) for entry in found.entries] == [
+        # Steps of simulated time are stored with the next entry, equal ones with a count.
         ("open", "one", [[0.1, 2], [0.05, 1]]), ("open", "two", None), ("out", "one", None),
         ("out", "two", [[0.2, 1]]), ("time", "", [[0.4, 1]]),
     ]
@@ -127,6 +134,7 @@ def test_idle_server_does_not_fill_the_memory(tmp_path: Path) -> None:
     for number in range(1001):
         recorder.record_step(0.01 + number * 1e-6)
     found = recorded_by(tmp_path / "a.log", recorder)
+    # 1001 different steps: an entry is written before the list grows without limit.
     assert [len(entry.more["steps"]) for entry in found.entries] == [1000, 1]
 
 

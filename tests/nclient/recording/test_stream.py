@@ -29,10 +29,12 @@ def test_recording_is_transparent_and_reproducible(tmp_path: Path) -> None:
     for _ in range(2):
         assert drive(f"{address}&record={tmp_path}/run.log") == drive(address)
         files.append((tmp_path / "run.log").read_bytes())
+    # No time of day and no process number is in the file of a simulation.
     assert files[0] == files[1]
     recording = read_recording(tmp_path / "run.log")
     assert recording.header["address"] == address
     assert recording.header["started"] is None
+    # A simulation needs no keep-alive; st and disconnect_robot are those of the end of the block.
     assert recording.entries[-1].time_s == pytest.approx(1.5)
     calls = [entry.decoded[0]["call"] for entry in recording.entries if entry.kind == "out"]
     assert calls == ["connect_robot", "ct", "vm", "ws", "gs", "st", "disconnect_robot"]
@@ -45,6 +47,7 @@ def test_over_a_socket_time_is_the_clocks(tmp_path: Path) -> None:
     ) as robot:
         robot.refresh()
     header, *_ = (tmp_path / "run.log").read_text().splitlines()
+    # A real connection has the time of day in its header.
     assert '"started":"20' in header
     assert '"model":"scout"' in header
     times = [entry.time_s for entry in read_recording(tmp_path / "run.log").entries]
@@ -93,6 +96,7 @@ def test_file_that_cannot_be_reopened_ends_only_the_recording(tmp_path: Path) ->
     folder.mkdir()
     recording = ClientRecording(folder / "run.log", "here", "serial", N150)
     recording.wrap(MemoryStream(Silent())).close()
+    # The folder is removed between two connections.
     (folder / "run.log").unlink()
     folder.rmdir()
     stream = recording.wrap(MemoryStream(Silent()))

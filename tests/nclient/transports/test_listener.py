@@ -39,6 +39,7 @@ def test_tcp_connections_are_served_one_after_the_other() -> None:
             with pytest.raises(ConnectionLost, match="disconnected"):
                 stream.receive(Deadline.after(5))
             stream.close()
+        # The port is in use.
         with pytest.raises(ConnectionLost, match="port 0 takes"):
             TcpListener("127.0.0.1", listener.port)
     finally:
@@ -138,6 +139,7 @@ def test_accept_waits_for_a_connection(listener: TcpListener, dial: Dial) -> Non
 
 
 def test_connections_with_data_precede_idle_ones(listener: TcpListener, dial: Dial) -> None:
+    # Two idle connections before two with data.
     dial(), dial(), dial(b"one"), dial(b"two")
     wait_until(listener.has_pending_request)
     for data in (b"one", b"two"):
@@ -149,6 +151,7 @@ def test_clients_that_disconnect_leave_the_queue(listener: TcpListener, dial: Di
     closing, resetting = dial(), dial()
     assert not listener.has_pending_request()
     closing.close()
+    # With a linger time of 0 closing sends a reset instead of an end.
     resetting.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     resetting.close()
     assert not listener.has_pending_request()
@@ -164,6 +167,7 @@ def test_refused_clients_are_closed_and_reported(
 ) -> None:
     reasons["127.0.0.1"] = "because"
     outsiders = [dial(b"let me in") for _ in range(2)]
+    # Polling the queue is what accepts and rejects.
     wait_until(lambda: not listener.has_pending_request() and len(rejected) == 2)
     assert all(map(is_closed, outsiders))
     assert rejected == [("127.0.0.1", "because")] * 2
@@ -175,6 +179,7 @@ def test_refused_clients_are_closed_and_reported(
 def test_a_full_queue_drops_an_idle_connection_for_a_request(
     listener: TcpListener, dial: Dial, rejected: list[tuple[str, str]]
 ) -> None:
+    # Idle connections fill the queue; the oldest one is closed for a request such as st.
     idle = [dial() for _ in range(MAX_PENDING)]
     assert not listener.has_pending_request()
     dial(b"stop")
@@ -187,6 +192,7 @@ def test_a_full_queue_drops_an_idle_connection_for_a_request(
 def test_a_full_queue_of_active_connections_rejects_the_newest(
     listener: TcpListener, dial: Dial, rejected: list[tuple[str, str]]
 ) -> None:
+    # All pending connections have sent something: the new one is rejected.
     for _ in range(MAX_PENDING):
         dial(b"request")
         wait_until(listener.has_pending_request)
@@ -214,12 +220,14 @@ def open_terminal(link: Path) -> int:
 
 def test_pty_connections_are_served_one_after_the_other(tmp_path: Path) -> None:
     link = tmp_path / "robot"
+    # A link of an earlier run that leads nowhere is replaced.
     link.symlink_to("/nowhere")
     listener = PtyListener(link)
     try:
         clients: list[int] = []
         for _ in range(2):
             clients.clear()
+            # The client opens the terminal while `accept` waits for it.
             timer = threading.Timer(0.05, lambda: clients.append(open_terminal(link)))
             timer.start()
             stream = listener.accept()
@@ -228,6 +236,7 @@ def test_pty_connections_are_served_one_after_the_other(tmp_path: Path) -> None:
                 stream.receive(Deadline.after(0))
             os.write(clients[0], bytes(range(256)))
             assert stream.receive(Deadline.after(5)) == bytes(range(256))
+            # NUL, Ctrl-C, Ctrl-D, Ctrl-Q, Ctrl-S, Ctrl-Z: a terminal in another mode would act on them.
             stream.send(b"\x00\x03\x04\x11\x13\x1a\xff")
             assert os.read(clients[0], 100) == b"\x00\x03\x04\x11\x13\x1a\xff"
             os.close(clients[0])
@@ -245,6 +254,7 @@ def test_a_pty_drops_what_its_client_does_not_read(tmp_path: Path, monkeypatch: 
     listener = PtyListener(tmp_path / "robot")
     try:
         fd = open_terminal(tmp_path / "robot")
+        # The client reads nothing: the terminal's buffer is full after some kilobytes.
         listener.accept().send(bytes(1_000_000))
         os.close(fd)
     finally:
@@ -272,6 +282,7 @@ def test_a_pty_does_not_replace_files_of_others(tmp_path: Path) -> None:
         PtyListener(tmp_path / "no" / "robot")
     listener = PtyListener(tmp_path / "robot")
     (tmp_path / "robot").unlink()
+    # Another program has put its own link at this place.
     (tmp_path / "robot").symlink_to("/elsewhere")
     listener.close()
     assert (tmp_path / "robot").is_symlink()

@@ -18,10 +18,12 @@ NOW = Deadline.after(0)
 def test_bytes_pass_to_the_peer_and_back() -> None:
     stream = MemoryStream(ScriptedServer())
     stream.send(codec.encode_tcp_request(Call("connect_robot", (1, 2))))
+    # Type 0x52 = 82, one word, 0x1b6b = 7019.
     assert stream.receive(NOW) == bytes.fromhex("0052000100001b6b")
 
 
 def test_receive_times_out_at_once_without_a_reply() -> None:
+    # A peer in this process answers at once or never: a long deadline is not awaited.
     with pytest.raises(ReplyTimeout, match="no reply"):
         MemoryStream(ScriptedServer()).receive(Deadline.after(1e6))
 

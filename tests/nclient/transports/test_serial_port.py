@@ -28,6 +28,7 @@ class Pty:
 
     def __init__(self) -> None:
         self.far, self._near = os.openpty()
+        # Raw mode: no echo, no translation of line ends, no control characters.
         tty.setraw(self._near)
         self.name = os.ttyname(self._near)
 
@@ -94,6 +95,7 @@ def test_bytes_arriving_while_waiting(open_stream: Opener, pty: Pty) -> None:
     stream = open_stream(pty.name)
     later = threading.Timer(0.1, os.write, (pty.far, b"late"))
     later.start()
+    # The first byte may be received alone.
     assert b"late".startswith(stream.receive(Deadline.after(5)))
     later.join()
     stream.close()
@@ -114,6 +116,7 @@ def test_closing_in_another_thread_ends_the_wait(open_stream: Opener, pty: Pty) 
 
 def test_large_data_is_sent_in_parts(open_stream: Opener, pty: Pty) -> None:
     stream = open_stream(pty.name)
+    # More than the buffer of a terminal.
     data = bytes(range(256)) * 400
     got = bytearray()
 
@@ -121,6 +124,7 @@ def test_large_data_is_sent_in_parts(open_stream: Opener, pty: Pty) -> None:
         while len(got) < len(data):
             got.extend(os.read(pty.far, 4096))
 
+    # The reader starts late, so that the first write does not take everything.
     draining = threading.Timer(0.1, drain)
     draining.start()
     stream.send(data)
@@ -147,6 +151,7 @@ def test_full_port_is_retried(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None
     def refuse_once(file: int, data: bytes) -> int:
         if full:
             full.clear()
+            # The port accepts nothing at this moment, although it was reported as writable.
             raise BlockingIOError
         return write(file, data)
 
@@ -187,6 +192,7 @@ def test_port_in_use_error_names_process(open_stream: Opener, pty: Pty) -> None:
         open_stream(pty.name)
     first.close()
     open_stream(pty.name).close()
+    # Another process locks the port as pyserial does.
     holds = "import sys,serial; p=serial.Serial(sys.argv[1],exclusive=True); print(flush=True); sys.stdin.read()"
     other = subprocess.Popen([sys.executable, "-c", holds, pty.name], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     with other:
@@ -232,12 +238,14 @@ def test_other_system_errors(monkeypatch: pytest.MonkeyPatch, error: Exception, 
         SerialStream("/dev/ttyUSB0")
 
 
+# select() cannot wait for a file descriptor of 1024 or more: the port must use poll().
 def test_file_descriptor_above_1024(pty: Pty) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.ExitStack() as stack:
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
         stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
         opened = 0
+        # Open files until the next descriptor is 1024 or more.
         while opened < 1024:
             opened = os.open(os.devnull, os.O_RDONLY)
             stack.callback(os.close, opened)

@@ -15,6 +15,7 @@ from tests.nclient.scripted_server import on_socket
 
 
 def free_port() -> int:
+    # The port was free a moment ago: nothing listens on it.
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port: int = listener.getsockname()[1]
     return port
@@ -64,6 +65,7 @@ def test_a_past_deadline_still_returns_what_arrived() -> None:
     with on_socket(lambda connection: connection.sendall(b"early")) as port:
         stream = TcpStream("127.0.0.1", port)
         stream._socket.settimeout(5)
+        # MSG_PEEK waits until the data has arrived, and leaves it in the socket.
         assert stream._socket.recv(5, socket.MSG_PEEK) == b"early"
         assert stream.receive(Deadline.after(-1)) == b"early"
         stream.close()
@@ -80,6 +82,7 @@ def test_a_closed_connection_is_lost_and_named() -> None:
 def test_a_reset_connection_is_lost() -> None:
     def reset(connection: socket.socket) -> None:
         connection.recv(1)
+        # A linger time of 0: closing sends a reset instead of an end.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
 
     with on_socket(reset) as port:
@@ -120,6 +123,7 @@ def test_closing_wakes_a_receiver_on_another_thread() -> None:
         stream = TcpStream("127.0.0.1", port)
         receiver = threading.Thread(target=receive)
         receiver.start()
+        # The receiver thread is about to wait, or waits.
         assert waiting.wait(5)
         stream.close()
         receiver.join(10)
@@ -140,6 +144,7 @@ def test_a_serial_line_over_tcp_has_its_own_remedy() -> None:
 
 
 @pytest.mark.parametrize(("host", "port", "message"), [
+    # A label of more than 63 characters, which no DNS name has, and a port beyond 16 bits.
     ("x" * 80 + ".example", 7019, "there is no host 'xxxx"), ("127.0.0.1", 70000, "127.0.0.1:70000"),
 ])
 def test_invalid_hosts_and_ports_are_lost_connections(host: str, port: int, message: str) -> None:
@@ -168,6 +173,7 @@ def test_names_of_this_machine_begin_with_loopback() -> None:
 
 def test_a_connection_closed_at_once_hints_at_admission() -> None:
     def reject() -> None:
+        # As a server whose --allow does not list the client.
         listener.accept()[0].close()
 
     with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:

@@ -15,15 +15,18 @@ def mahalanobis2__wrong_not_inverted(innovation, S):
 
 
 def mahalanobis2__wrong_diagonal(innovation, S):
+    # The sum over single variances ignores the covariances.
     return sum(innovation**2 / np.diag(S))
 
 
 def mahalanobis2__right_cholesky(innovation, S):
+    # S = L L', so that the squared norm of L^-1 v is v' S^-1 v; a 1 x 1 matrix is accepted as a number.
     white = np.linalg.solve(np.linalg.cholesky(S), innovation)
     return [[white @ white]]
 
 
 def nearest_reflector__wrong_inches(z, expected, variances, gate):
+    # The nearest in inches is not the nearest in standard deviations.
     k = int(np.argmin(abs(z - expected)))
     return k if (z - expected[k]) ** 2 / variances[k] < gate else -1
 
@@ -33,6 +36,7 @@ def nearest_reflector__wrong_no_gate(z, expected, variances, gate):
 
 
 def nearest_reflector__wrong_gate_of_root(z, expected, variances, gate):
+    # The gate is for the squared distance, and is compared with its root.
     distances = abs(z - expected) / np.sqrt(variances)
     return int(np.argmin(distances)) if distances.min() < gate else -1
 
@@ -51,12 +55,14 @@ def association_probabilities__wrong_not_normalized(innovations, variances, p_ra
 
 
 def association_probabilities__wrong_bell(innovations, variances, p_random):
+    # Without 1 / sqrt(2 pi variance): a wide reflector gets too much weight.
     w = np.append((1 - p_random) / len(innovations) * np.exp(-0.5 * innovations**2 / variances), p_random / 255)
     return w / w.sum()
 
 
 def association_probabilities__wrong_prior(innovations, variances, p_random):
     density = np.exp(-0.5 * innovations**2 / variances) / np.sqrt(2 * np.pi * variances)
+    # The prior is not divided among the reflectors.
     w = np.append((1 - p_random) * density, p_random / 255)
     return w / w.sum()
 

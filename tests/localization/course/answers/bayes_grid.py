@@ -6,10 +6,12 @@ import numpy as np
 
 
 def predict_grid__wrong_wraps(belief, kernel):
+    # np.roll moves what leaves at the last cell to the first one.
     return sum(p * np.roll(belief, k) for k, p in enumerate(kernel))
 
 
 def predict_grid__wrong_loses(belief, kernel):
+    # What moves beyond the last cell is cut off instead of staying there.
     return np.convolve(belief, kernel)[: len(belief)]
 
 
@@ -19,6 +21,7 @@ def predict_grid__wrong_normalizes(belief, kernel):
 
 
 def predict_grid__wrong_first_cell_forgotten(belief, kernel):
+    # The kernel is mirrored: the robot moves least where it should move most.
     return np.convolve(belief, kernel[::-1])[: len(belief)]
 
 
@@ -27,6 +30,7 @@ def predict_grid__right_matrix(belief, kernel):
     T = np.zeros((n, n))
     for i in range(n):
         for k, p in enumerate(kernel):
+            # Column i holds the probabilities of moving from cell i; beyond the end the robot stays in the last cell.
             T[min(i + k, n - 1), i] += p
     return (T @ belief).tolist()
 
@@ -40,6 +44,7 @@ def update_grid__wrong_without_prior(belief, likelihood):
 
 
 def update_grid__wrong_zero(belief, likelihood):
+    # A likelihood of 0 everywhere gives 0 / 0.
     return belief * likelihood / (belief * likelihood).sum()
 
 
@@ -60,6 +65,7 @@ def reading_likelihood__wrong_bell(z, expected, std, p_random):
 
 
 def reading_likelihood__wrong_uniform(z, expected, std, p_random):
+    # The random readings have a density of p / 255 an inch, and not p.
     return np.array([(1 - p_random) * NormalDist(e, std).pdf(z) + p_random for e in expected])
 
 

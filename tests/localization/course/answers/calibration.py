@@ -37,6 +37,7 @@ def fit_turn_and_drift__wrong_sign(distances, turns, true):
 
 
 def fit_turn_and_drift__right_normal_equations(distances, turns, true):
+    # The normal equations, solved by Cramer's rule.
     a, b, c = turns @ turns, turns @ distances, distances @ distances
     p, q = turns @ true, distances @ true
     return [(c * p - b * q) / (a * c - b * b), (a * q - b * p) / (a * c - b * b)]
@@ -60,6 +61,7 @@ def fit_std__wrong_without_noise(distances, turns, sigma):
 
 
 def fit_std__right_svd(distances, turns, sigma):
+    # The rows of V' divided by the singular values: their squares sum up to the inverse of A' A.
     _, s, Vt = np.linalg.svd(np.column_stack((turns, distances)), full_matrices=False)
     return (sigma * np.sqrt(((Vt.T / s) ** 2).sum(axis=1))).tolist()
 
@@ -73,10 +75,12 @@ def sonar_offset__wrong_sign(readings, ranges):
 
 
 def sonar_offset__wrong_mean_without_255(readings, ranges):
+    # Readings of 255 are left out, and other outliers still move a mean.
     return np.mean((readings - ranges)[readings < 255])
 
 
 def sonar_offset__right_trimmed(readings, ranges):
     errors = np.sort(readings - ranges)
+    # Values near the median alone: outliers have no effect.
     errors = errors[abs(errors - errors[len(errors) // 2]) < 4]
     return errors.mean()

@@ -28,6 +28,7 @@ def motion_jacobians__wrong_without_identity(heading, d, a):
 
 def motion_jacobians__wrong_chain_rule(heading, d, a):
     F, G = _jacobians(heading, d, a)
+    # Without the factor 1/2 that the heading in the middle of the step has by the chain rule.
     return F, G * [[1, 2], [1, 2], [1, 1]]
 
 
@@ -38,6 +39,7 @@ def motion_jacobians__wrong_signs(heading, d, a):
 
 def motion_jacobians__right_differences(heading, d, a):
     pose, step, e = np.array([0.0, 0.0, heading]), np.array([d, a]), 1e-6
+    # Numerical differences approximate the derivatives to about 1e-6, which the check must accept.
     F = [(_move(pose + e * row, step) - _move(pose, step)) / e for row in np.eye(3)]
     G = [(_move(pose, step + e * row) - _move(pose, step)) / e for row in np.eye(2)]
     return np.transpose(F), np.transpose(G).tolist()
@@ -65,6 +67,7 @@ def range_and_jacobian__wrong_heading_forgotten(pose, bearing, n, rho):
 
 def range_and_jacobian__wrong_perpendicular(pose, bearing, n, rho):
     _, H = range_and_jacobian__right_differences(pose, bearing, n, rho)
+    # The distance to the wall's line, and not along the beam.
     return rho - n @ pose[:2], H
 
 
@@ -79,6 +82,7 @@ def update_pose__wrong_innovation(x, P, innovation, H, R):
 
 
 def update_pose__wrong_without_noise(x, P, innovation, H, R):
+    # S without the noise of the reading: the gain is too large.
     K = P @ H / (H @ P @ H)
     return x + K * innovation, P - np.outer(K, H @ P)
 
@@ -89,6 +93,7 @@ def update_pose__wrong_same_covariance(x, P, innovation, H, R):
 
 def update_pose__wrong_dot(x, P, innovation, H, R):
     K = P @ H / (H @ P @ H + R)
+    # H P is a row vector: `K @ H` is a number, where the matrix K H is meant.
     return x + K * innovation, P - (K @ H) * P
 
 
@@ -96,9 +101,11 @@ def update_pose__right_joseph(x, P, innovation, H, R):
     H = H.reshape(1, 3)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     A = np.eye(3) - K @ H
+    # The form of Joseph, with columns instead of plain vectors.
     return (x.reshape(3, 1) + K * innovation), A @ P @ A.T + R * K @ K.T
 
 
 def update_pose__right_information(x, P, innovation, H, R):
+    # The same update in terms of information matrices.
     P = np.linalg.inv(np.linalg.inv(P) + np.outer(H, H) / R)
     return x + P @ H * innovation / R, P

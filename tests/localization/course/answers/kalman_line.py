@@ -4,6 +4,7 @@ import numpy as np
 
 
 def predict_line__wrong_away(x, P, u, Q):
+    # The robot drives towards the wall: its distance becomes smaller.
     return x + u, P + Q
 
 
@@ -30,6 +31,7 @@ def update_line__wrong_same_variance(x, P, z, R):
 
 
 def update_line__wrong_mean(x, P, z, R):
+    # The plain mean is right only if both variances are equal.
     return (x + z) / 2, P / 2
 
 
@@ -48,6 +50,7 @@ def update_line__right_joseph(x, P, z, R):
 
 
 def is_consistent__wrong_one_sided(innovations, variances):
+    # A filter that is too cautious has a small mean, and must fail, too.
     return np.mean(innovations**2 / variances) < 1 + 2 * np.sqrt(2 / len(innovations))
 
 
@@ -61,10 +64,12 @@ def is_consistent__wrong_std_for_variance(innovations, variances):
 
 def is_consistent__right_wilson_hilferty(innovations, variances):
     n = len(innovations)
+    # Quantiles of chi-square by Wilson and Hilferty's approximation, at 95 percent.
     low, high = (n * (1 - 2 / (9 * n) + z * np.sqrt(2 / (9 * n))) ** 3 for z in (-1.96, 1.96))
     return low < sum(e * e / s for e, s in zip(innovations, variances, strict=True)) < high
 
 
 def is_consistent__right_fraction_of_gate(innovations, variances):
+    # Half of the values of a normal distribution lie within 0.6745 standard deviations.
     inside = np.mean(np.abs(innovations) < 0.6745 * np.sqrt(variances))
     return 0.35 < inside < 0.65

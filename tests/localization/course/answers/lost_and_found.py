@@ -25,6 +25,7 @@ def random_fraction__wrong_negative(slow, fast, likelihood):
 
 
 def random_fraction__wrong_old_averages(slow, fast, likelihood):
+    # The ratio is taken of the averages before this reading.
     return 0.95 * slow + 0.05 * likelihood, 0.5 * fast + 0.5 * likelihood, max(0, 1 - fast / slow)
 
 
@@ -45,6 +46,7 @@ def is_found__wrong_unweighted(particles, weights, within):
 
 
 def is_found__wrong_spread(particles, weights, within):
+    # The spread in single coordinates ignores the weights.
     return particles[:, :2].std(axis=0).max() < within
 
 

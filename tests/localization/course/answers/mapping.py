@@ -23,10 +23,12 @@ def update_cell__right_probabilities(log_odds, p):
 
 
 def update_cell__wrong_one_cell(log_odds, p):
+    # math.log takes a single number, where a whole row of cells is updated.
     return log_odds + math.log(p / (1 - p))
 
 
 def _sensor(d, a, z, behind=0.5, cone=0.218, nothing=0.5):
+    # Nearer than the reading: free; at it: occupied; behind it and outside of the cone: no information.
     p = np.where(d < z - 2, 0.35, np.where(d <= z + 2, 0.7, behind))
     p = np.where(abs(a) < cone, p, 0.5)
     return np.full_like(p, nothing) if z == 255 else p
@@ -55,6 +57,7 @@ def inverse_sensor__right_loop(d, a, z):
 
 
 def fit_wall__wrong_polyfit(points):
+    # A regression of y on x fails for walls along y.
     m, b = np.polyfit(points[:, 0], points[:, 1], 1)
     alpha = math.atan2(1, -m)
     return alpha, b * math.sin(alpha)
@@ -63,6 +66,7 @@ def fit_wall__wrong_polyfit(points):
 def fit_wall__wrong_direction(points):
     _, vectors = np.linalg.eigh(np.cov(points.T))
     along = vectors[:, 1]
+    # The direction of the wall instead of that of its normal.
     return math.atan2(along[1], along[0]), along @ points.mean(axis=0)
 
 
@@ -73,5 +77,6 @@ def fit_wall__wrong_rho(points):
 
 def fit_wall__right_closed_form(points):
     x, y = (points - points.mean(axis=0)).T
+    # The angle of the principal axis in closed form, turned by a right angle to the normal.
     alpha = 0.5 * math.atan2(2 * (x @ y), x @ x - y @ y) + math.pi / 2
     return np.array([alpha, points.mean(axis=0) @ (math.cos(alpha), math.sin(alpha))])

@@ -14,12 +14,14 @@ def _var(d, a):
 
 def move_particles__wrong_one_noise(particles, d, a, rng):
     e, f = _var(d, a)
+    # One random number moves all particles alike: they do not spread.
     return _move(particles, d + rng.normal(0, np.sqrt(e)), a + rng.normal(0, np.sqrt(f)))
 
 
 def move_particles__wrong_variance_for_std(particles, d, a, rng):
     e, f = _var(d, a)
     n = len(particles)
+    # normal() takes a standard deviation, and these are variances.
     return _move(particles, d + rng.normal(0, e, n), a + rng.normal(0, f, n))
 
 
@@ -45,6 +47,7 @@ def move_particles__right_loop(particles, d, a, rng):
 
 
 def weigh_particles__wrong_underflow(weights, z, expected, std):
+    # The product of many small densities underflows to 0.
     new = weights * np.exp(-0.5 * ((z - expected) / std) ** 2).prod(axis=1)
     return new / new.sum()
 
@@ -68,10 +71,12 @@ def weigh_particles__right_one_by_one(weights, z, expected, std):
     logs = np.log(weights)
     for k in range(len(z)):
         logs += -0.5 * ((z[k] - expected[:, k]) / std) ** 2
+    # Each weight relative to all others, which needs no normalization.
     return 1 / np.exp(logs[None, :] - logs[:, None]).sum(axis=1)
 
 
 def resample__wrong_best(weights, rng):
+    # All particles become copies of the best one.
     return np.full(len(weights), np.argmax(weights))
 
 
@@ -104,6 +109,7 @@ def resample__right_wheel(weights, rng):
 
 
 def mean_pose__wrong_arithmetic(particles, weights):
+    # The mean of 179 and -179 degrees is 0 here.
     return weights @ particles
 
 

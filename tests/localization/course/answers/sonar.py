@@ -45,6 +45,7 @@ def echo_point__right_rotation(x, y, turret, number, reading):
 
 def range_to_wall__wrong_line_not_segment(x, y, a, wall):
     x1, y1, x2, y2 = wall
+    # The normal of the wall's line: the wall's ends are not checked.
     n = np.array([y1 - y2, x2 - x1])
     t = n @ (x1 - x, y1 - y) / (n @ (math.cos(a), math.sin(a)))
     return t if t > 0 else math.inf
@@ -54,11 +55,13 @@ def range_to_wall__wrong_behind_counts(x, y, a, wall):
     x1, y1, x2, y2 = wall
     A = np.array([[math.cos(a), x1 - x2], [math.sin(a), y1 - y2]])
     t, s = np.linalg.solve(A, (x1 - x, y1 - y))
+    # A negative t is a wall behind the robot.
     return abs(t) if 0 <= s <= 1 else math.inf
 
 
 def range_to_wall__wrong_slope(x, y, a, wall):
     x1, y1, x2, y2 = wall
+    # A vertical wall has no slope, and is left out.
     if x1 == x2:
         return math.inf
     m = (y2 - y1) / (x2 - x1)
@@ -79,6 +82,7 @@ def reading_std__wrong_noise_only(r):
 
 
 def reading_std__wrong_sum(r):
+    # Standard deviations of independent errors do not add up; variances do.
     return 0.01 * r + math.sqrt(1 / 12)
 
 
@@ -88,5 +92,6 @@ def reading_std__wrong_variance(r):
 
 def reading_std__right_experiment(r):
     rng = np.random.default_rng(1)
+    # An experiment: readings rounded to whole inches, with noise of 1 percent.
     true = r + rng.uniform(-0.5, 0.5, 200_000)
     return np.std(np.rint(true + 0.01 * r * rng.standard_normal(200_000)) - true)
