@@ -105,7 +105,7 @@ class BuildCache:
         self, source: Path, kind: BuildKind, library: str = "nclient", flags: tuple[str, ...] = (),
         extra_libraries: tuple[str, ...] = (),
     ) -> Path:
-        """Return a program built from one source and a library; `flags` refolders the default standard and warnings."""
+        """Return a program built from one source and a library; `flags` replaces the default standard and warnings."""
         libraries = self.libraries(kind)
         made = libraries / f"{source.parent.name}-{source.stem}-{library}"
         with self._lock(f"{kind.name}-{made.name}"):

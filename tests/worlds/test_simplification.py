@@ -96,7 +96,7 @@ def test_nor_does_an_outline(radii: list[float], far_in: float) -> None:
     assert len(simpler.rooms[0].corners_in) >= 3
 
 
-def test_how_far_walls_are_apart_is_seen_both_paths() -> None:
+def test_how_far_walls_are_apart_is_measured_from_both_sides() -> None:
     # From the end at 10 to the end at 4: the distance of sets must not depend on their order.
     one, other = np.array([[0.0, 0.0, 10.0, 0.0]]), np.array([[0.0, 0.0, 4.0, 0.0]])
     assert hausdorff_distance_in(one, other) == hausdorff_distance_in(other, one) == pytest.approx(6.0)

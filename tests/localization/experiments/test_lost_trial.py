@@ -29,8 +29,8 @@ def test_tracking_run_has_given_length_and_no_alarm() -> None:
 
 
 def test_alarms_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A watch that pings every thirty echoes: some alarms, and the robot finds itself between them."""
-    monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda watch: watch.windows[MATCHED][COUNT] >= 30))
+    """A monitor that gives an alarm every thirty echoes, and the robot finds itself between them."""
+    monkeypatch.setattr(IntegrityMonitor, "is_lost", property(lambda monitor: monitor.windows[MATCHED][COUNT] >= 30))
     assert drive(EXACT).alarms >= 2
 
 

@@ -120,7 +120,7 @@ def test_without_filter_odometry_steers_and_no_echo_is_used() -> None:
     assert (runs.used == 0).all()
 
 
-def test_both_paths_of_driving_meet_the_same_motion_noise() -> None:
+def test_both_ways_of_driving_have_the_same_motion_noise() -> None:
     """On the first step, where the commands differ only by the error of the first estimate."""
     filtered, blind = (run(short_course(filtered), range(5)) for filtered in (True, False))
     start = short_course().start

@@ -266,7 +266,6 @@ def test_worker_ends_with_its_user_in_the_middle_of_its_work(tmp_path: Path) -> 
     assert not any(process.is_alive() for process in processes)
 
 
-@pytest.mark.long
 def can_import(name: str) -> bool:
     try:
         import_module(name)

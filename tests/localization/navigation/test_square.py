@@ -97,7 +97,7 @@ def test_square_through_gap_fits_or_is_refused() -> None:
         path_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
 
 
-def test_laps_go_both_paths_round_from_the_nearest_corner() -> None:
+def test_laps_go_round_both_ways_from_the_nearest_corner() -> None:
     found = tasks(Square(0.0, 0.0, 10.0), (9.0, 1.0), 1, 2)
     places = [tuple(task) for task in found if isinstance(task, DriveTo)]
     assert places[0] == (10.0, 0.0)

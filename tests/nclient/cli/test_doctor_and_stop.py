@@ -83,7 +83,7 @@ def test_without_an_address_it_is_the_one_that_all_commands_take(
 
 
 class Runaway:
-    """Rolls at 100, on for `obeys` looks after it was reported to stop, and is not there at first so many times.
+    """Rolls at 100, still for `obeys` states after it was ordered to stop, and is absent the first `absent` times.
 
     `st_answers`: what it says to st, one after the other, before it says what it should.
     """

@@ -181,8 +181,8 @@ async def test_replay_repeats_changes_of_noise_and_world(tmp_path: Path) -> None
     # CONNECT, then pr and gs three times.
     assert (outcome.answers, outcome.difference) == (7, "")
     # Counter-check: without the recorded change the replay differs.
-    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
-    assert replay(tape).difference
+    filtered = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
+    assert replay(filtered).difference
 
 
 async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) -> None:
@@ -231,10 +231,10 @@ async def test_replay_repeats_changes_of_obstacles_and_worlds(tmp_path: Path) ->
     assert (replay(recording).answers, replay(recording).difference) == (9, "")
     # Counter-check for each kind of change.
     for change in ("wall", "world", "door", "walker"):
-        tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if change not in e.more))
-        assert replay(tape).difference
-    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
-    assert replay(tape).difference
+        filtered = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if change not in e.more))
+        assert replay(filtered).difference
+    filtered = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
+    assert replay(filtered).difference
 
 
 async def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
@@ -253,8 +253,8 @@ async def test_replay_repeats_emergency_stops(tmp_path: Path) -> None:
     recording = await recorded(tmp_path / "run.log", REAL_TIME, scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (6, "")
-    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
-    assert replay(tape).difference
+    filtered = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
+    assert replay(filtered).difference
     # A recording of an earlier version does not say that clients were informed: they got the state.
     for entry in recording.entries:
         if "hold" in entry.more:

@@ -51,7 +51,7 @@ class ScriptedRobot:
         self.port = 1
         self.link: LinkStatistics | None = None
         self.closed = False
-        self.process_requests = dict(answers or {})
+        self.answers = dict(answers or {})
         self.state = LINE_STATE
         self.trouble: list[Exception] = []
         self.calls: list[Call] = []
@@ -66,7 +66,7 @@ class ScriptedRobot:
         # 2. Errors that were prepared come first, then the answer of this command, else the state.
         if self.trouble:
             raise self.trouble.pop(0)
-        answer = self.process_requests.get(call.name, self.state)
+        answer = self.answers.get(call.name, self.state)
         if isinstance(answer, Exception):
             raise answer
         return answer

@@ -533,12 +533,12 @@ def test_the_host_of_these_tests_reads_only_whole_answers() -> None:
 def test_a_line_drives_its_own_robot_only() -> None:
     seen: list[ConnectionContext] = []
 
-    def answer(_call: Call, scenario: ConnectionContext) -> Reply:
-        seen.append(scenario)
+    def answer(_call: Call, context: ConnectionContext) -> Reply:
+        seen.append(context)
         return Reply("state")
 
     session = SerialSession(answer, 7, N150, lambda: 0.0)
     session.receive(GS_REQUEST)
     session.process_requests(1)
-    assert [scenario.robot_id for scenario in seen] == [7]
+    assert [context.robot_id for context in seen] == [7]
     assert seen[0].wire_state.line

@@ -137,8 +137,13 @@ def test_what_is_no_link_stays_and_the_remedy_is_named(path: Path) -> None:
 
 def test_the_line_of_another_daemon_stays_its_own(terminal: PseudoTerminal, path: Path) -> None:
     with pytest.raises(ConnectionLost, match="another running nserver"):
-        PseudoTerminal(path.parent / "." / "nomad")
+        PseudoTerminal(path)
     assert path.readlink() == Path(terminal.device)
+    # The same path, by another name of its folder.
+    folder = path.parent.with_name("folder")
+    folder.symlink_to(path.parent)
+    with pytest.raises(ConnectionLost, match="another running nserver"):
+        PseudoTerminal(folder / path.name)
 
 
 def test_without_abstract_sockets_the_last_server_has_the_link(

@@ -40,12 +40,12 @@ def test_a_quick_viewer_gets_every_picture_from_the_one_before() -> None:
 def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
     broadcaster = a_hub()
     slow = broadcaster.join(may_act=False)
-    mark_sent = 0
+    pictures = 0
     for _ in range(500):
         broadcaster.take()
-        mark_sent += len(messages_for(broadcaster, slow))
+        pictures += len(messages_for(broadcaster, slow))
     # 500 pictures, and none acknowledged: only MAX_UNDRAWN are sent.
-    assert mark_sent == MAX_UNDRAWN
+    assert pictures == MAX_UNDRAWN
     # Acknowledging the fifth one makes room; its difference is no longer known, so all is sent (since 0).
     slow.mark_drawn(5)
     (picture,) = messages_for(broadcaster, slow)

@@ -15,7 +15,7 @@ from worlds.io import load_world
 from worlds.world import StartPose
 
 # Mode 50 has bit 0 cleared: the laser is off.
-NULL_RECORDER, LINES, POINTS = 50, 33, 51
+OFF, LINES, POINTS = 50, 33, 51
 
 
 def two_robots() -> Emulator:
@@ -27,8 +27,8 @@ def two_robots() -> Emulator:
 
 def test_the_laser_is_shown_without_clients_or_if_any_has_it_on() -> None:
     assert is_shown([])
-    assert is_shown([("a", NULL_RECORDER), ("b", LINES)])
-    assert not is_shown([("a", NULL_RECORDER), ("b", 0)])
+    assert is_shown([("a", OFF), ("b", LINES)])
+    assert not is_shown([("a", OFF), ("b", 0)])
 
 
 def test_the_laser_disappears_when_all_clients_switch_it_off() -> None:
@@ -41,20 +41,20 @@ def test_the_laser_disappears_when_all_clients_switch_it_off() -> None:
             history.take(lasers=None, modes=modes)
         return history.since(before)
 
-    picture = look({1: [("a", POINTS)], 2: [("b", NULL_RECORDER)]})
+    picture = look({1: [("a", POINTS)], 2: [("b", OFF)]})
     assert set(picture["lasers"]) == {"1"}
-    assert picture["laser_modes"] == {"1": [("a", POINTS)], "2": [("b", NULL_RECORDER)]}
-    picture = look({1: [("a", NULL_RECORDER)], 2: [("b", NULL_RECORDER)]})
+    assert picture["laser_modes"] == {"1": [("a", POINTS)], "2": [("b", OFF)]}
+    picture = look({1: [("a", OFF)], 2: [("b", OFF)]})
     # An empty list once, so that the page clears the points; then nothing.
     assert picture["lasers"] == {}
-    picture = look({1: [("a", NULL_RECORDER)], 2: [("b", NULL_RECORDER)]})
+    picture = look({1: [("a", OFF)], 2: [("b", OFF)]})
     assert not {"lasers", "laser_modes"} & set(picture)
-    assert set(look({1: [], 2: [("b", NULL_RECORDER)]})["lasers"]) == {"1"}
+    assert set(look({1: [], 2: [("b", OFF)]})["lasers"]) == {"1"}
 
 
 async def test_clients_are_listed_with_modes_and_pages_are_not() -> None:
     def two_clients(place: str) -> None:
-        for number, mode in ((1, NULL_RECORDER), (2, LINES)):
+        for number, mode in ((1, OFF), (2, LINES)):
             robot = connect(f"nserver://{place}/{number}")
             robot.configure_laser(mode=mode)
             asked.append(robot)
@@ -75,7 +75,7 @@ async def test_clients_are_listed_with_modes_and_pages_are_not() -> None:
         last = await page.until(lambda message: message.get("lasers", {}).keys() == {"2"})
         assert "laser_modes" not in last or last["laser_modes"]["1"]
         modes = laser_modes(here.daemon.connections, (1, 2))
-        assert [[mode for _, mode in modes[number]] for number in (1, 2)] == [[NULL_RECORDER], [LINES]]
+        assert [[mode for _, mode in modes[number]] for number in (1, 2)] == [[OFF], [LINES]]
         assert all(name.startswith("127.0.0.1:") for clients in modes.values() for name, _ in clients)
         for robot in asked:
             await asyncio.to_thread(robot.disconnect)
@@ -93,8 +93,8 @@ def test_of_many_clients_those_with_the_laser_on_come_first() -> None:
             self.session = type("Session", (), {"context": context, "name": name})()
 
     # More clients than are named; the one with the laser on is the last by name.
-    crowd: list[Any] = [Connection(f"client {number:02}", NULL_RECORDER) for number in range(2 * MAX_NAMED)]
+    crowd: list[Any] = [Connection(f"client {number:02}", OFF) for number in range(2 * MAX_NAMED)]
     crowd.append(Connection("z", POINTS))
     named = laser_modes(crowd, (1,))[1]
-    assert named[:2] == [("z", POINTS), ("client 00", NULL_RECORDER)]
+    assert named[:2] == [("z", POINTS), ("client 00", OFF)]
     assert len(named) == MAX_NAMED

@@ -159,8 +159,7 @@ def test_other_robots_are_in_laser_and_infrareds_of_state() -> None:
     arc = [point for point in xy if point[0] < 62.0]
     # All points are on the circle of the N150, whose radius is 9.72 in.
     assert all(math.hypot(x - 25.0, y) == pytest.approx(9.72, abs=0.08) for x, y in arc)
-    half_deg = math.degrees(math.asin(9.72 / 16.0))
-    assert half_deg > 30.0
+    # All columns: from 16 in before its centre the disc spans asin(9.72 / 16) = 37 degrees to each side, the laser 26.
     assert len(xy) == len(arc) == 482
     emulator.simulation.robots[2].place(62.0, 67.0, 0.0, 0.0)
     emulator.simulation.step(0.1)
