@@ -60,6 +60,8 @@ log = logging.getLogger(__name__)
 # Time that the turns of all connections together may take in one iteration. Between two iterations the loop polls its
 # sockets, which takes some 15 us: 5 % of this.
 ITERATION_BUDGET_S: Final = 0.0003
+# A loop that has waited so long had nothing else to do. The clocks of a turn that does not wait differ by 1 us.
+MIN_WAIT_S: Final = 0.00001
 # Seconds of unused rate that an idle client accumulates.
 BURST_S: Final = 0.1
 # Bytes read from a port at once.
@@ -234,12 +236,12 @@ class ConnectionHandler(ABC):
     def _process(self, data: bytes) -> None:
         """Process bytes from the channel in a turn: at once if the scheduler allows it, otherwise later."""
         waits_for_turn = self.is_queued or self._rate_limit_timer is not None
-        if not waits_for_turn and (not self.is_scheduled or self._server.scheduler.may_run_now(self._loop.time())):
-            start_s = time.thread_time()
+        scheduler, start_s = self._server.scheduler, time.thread_time()
+        if not waits_for_turn and (not self.is_scheduled or scheduler.may_run_now(self._loop.time(), start_s)):
             self._take_turn(data)
             taken_s = time.thread_time() - start_s
             self.cpu_s += taken_s
-            self._server.scheduler.charge(taken_s)
+            scheduler.charge(taken_s)
         else:
             self._receive_backlog += data
             self._schedule()
@@ -677,29 +679,32 @@ class FairScheduler:
         self._submitted: list[Job] = []
         self._is_run_scheduled = False
         # Time left in this iteration for work that is done at once, and when such work last ended. asyncio does not say
-        # when an iteration begins: a pause as long as the budget, or a run of the queue, counts as a new one.
+        # when an iteration begins: a wait for sockets, a pause as long as the budget, or a run of the queue, begins one.
         self._left_s = ITERATION_BUDGET_S
         self._worked_s = 0.0
+        # Loop time less processor time at that work: it grows while the loop waits.
+        self._idle_s = -inf
 
     def __len__(self) -> int:
         return len(self._queue)
 
-    def may_run_now(self, now_s: float) -> bool:
+    def may_run_now(self, now_s: float, cpu_s: float) -> bool:
         """Return True if work that has just arrived may be done at once.
 
         The caller must then do it and `charge` what it took; otherwise it must `submit` the job.
 
         Parameters
         ----------
-        now_s
-            The event loop's time.
+        now_s, cpu_s
+            The event loop's time, and the processor time of its thread.
         """
         if self._is_run_scheduled:
             return False
-        if now_s >= self._worked_s + ITERATION_BUDGET_S:
-            # Nothing was done for so long that this is another iteration.
+        idle_s = now_s - cpu_s
+        if idle_s >= self._idle_s + MIN_WAIT_S or now_s >= self._worked_s + ITERATION_BUDGET_S:
+            # The loop has waited, or done something else for so long, that this is another iteration.
             self._left_s = ITERATION_BUDGET_S
-        self._worked_s = now_s
+        self._worked_s, self._idle_s = now_s, idle_s
         return self._left_s > 0.0
 
     def charge(self, taken_s: float) -> None:
@@ -738,7 +743,7 @@ class FairScheduler:
         finally:
             # 3. The rest follows in the next iteration, also after an exception, which the event loop logs.
             self._is_run_scheduled = False
-            self._left_s, self._worked_s = end_s - now_s, now_s
+            self._left_s, self._worked_s, self._idle_s = end_s - now_s, now_s, now_s - time.thread_time()
             if self._queue or self._submitted:
                 self._schedule_run()
 

@@ -254,7 +254,7 @@ async def test_internal_error_closes_one_connection(
             raise RuntimeError("broken")
 
         # Through the scheduler or at once: both paths must catch it.
-        monkeypatch.setattr(server.daemon.scheduler, "may_run_now", lambda _: not is_scheduled)
+        monkeypatch.setattr(server.daemon.scheduler, "may_run_now", lambda *_: not is_scheduled)
         monkeypatch.setattr(faulty.session, stage, broken)
         received = []
         for client in clients:

@@ -11,7 +11,7 @@ import pytest
 
 from nclient.protocol.commands import Call
 from nclient.protocol.types import DEFAULT_SONAR_ORDER as DEFAULT_ORDER
-from nserver_emu.server.connection import ITERATION_BUDGET_S, MAX_PREPARING_STEPS, FairScheduler
+from nserver_emu.server.connection import ITERATION_BUDGET_S, MAX_PREPARING_STEPS, MIN_WAIT_S, FairScheduler
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.server_state import PREPARING_S, ServerState
 from nserver_emu.server.session import ConnectionContext
@@ -110,27 +110,40 @@ async def test_a_rested_connection_is_next(clock: Clock) -> None:
 
 async def test_an_idle_loop_answers_at_once() -> None:
     scheduler = FairScheduler()
-    assert scheduler.may_run_now(100.0)
+    # Processor time passes as the loop's time does: the loop never waits.
+    assert scheduler.may_run_now(100.0, 1.0)
     # 1. Work of 0.9 of a budget leaves a tenth of it.
     scheduler.charge(0.9 * ITERATION_BUDGET_S)
-    assert scheduler.may_run_now(100.0 + 0.9 * ITERATION_BUDGET_S)
+    assert scheduler.may_run_now(100.0 + 0.9 * ITERATION_BUDGET_S, 1.0 + 0.9 * ITERATION_BUDGET_S)
     # 2. The next work exceeds it: later work must wait for the next iteration.
     scheduler.charge(2.0 * ITERATION_BUDGET_S)
-    assert not scheduler.may_run_now(100.0 + 3.0 * ITERATION_BUDGET_S), "the turn is used up"
-    assert not scheduler.may_run_now(100.0 + 3.9 * ITERATION_BUDGET_S)
+    for budgets in (3.0, 3.9):
+        assert not scheduler.may_run_now(100.0 + budgets * ITERATION_BUDGET_S, 1.0 + budgets * ITERATION_BUDGET_S)
     # 3. Nothing was done for a whole budget, so this is another iteration.
-    assert scheduler.may_run_now(100.0 + 5.0 * ITERATION_BUDGET_S)
+    assert scheduler.may_run_now(100.0 + 5.0 * ITERATION_BUDGET_S, 1.0 + 5.0 * ITERATION_BUDGET_S)
 
 
-async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
+async def test_a_loop_that_has_waited_is_in_another_iteration() -> None:
+    scheduler = FairScheduler()
+    assert scheduler.may_run_now(100.0, 1.0)
+    scheduler.charge(2.0 * ITERATION_BUDGET_S)
+    # The budget is used up. A tenth of it later nothing has waited; then the loop waits twice as long as it must.
+    later_s = 2.1 * ITERATION_BUDGET_S
+    assert not scheduler.may_run_now(100.0 + later_s, 1.0 + later_s)
+    assert scheduler.may_run_now(100.0 + later_s + 2.0 * MIN_WAIT_S, 1.0 + later_s)
+
+
+@pytest.mark.parametrize("waits", [False, True])
+async def test_one_client_rarely_waits_for_another_turn(clock: Clock, waits: bool) -> None:
     # Its requests take a tenth of a turn and come each half turn: the time in between is not charged.
     scheduler = FairScheduler()
-    at_once = 0
+    at_once, waited_s = 0, 0.0
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(asyncio.get_running_loop(), "time", lambda: clock.now_s)
         for _ in range(110):
             clock.now_s += 0.4 * ITERATION_BUDGET_S
-            if scheduler.may_run_now(clock.now_s):
+            waited_s += 0.4 * ITERATION_BUDGET_S * waits
+            if scheduler.may_run_now(clock.now_s, clock.now_s - waited_s):
                 scheduler.charge(0.1 * ITERATION_BUDGET_S)
                 at_once += 1
             else:
@@ -139,8 +152,8 @@ async def test_one_client_rarely_waits_for_another_turn(clock: Clock) -> None:
                 while one.backlog:
                     await asyncio.sleep(0)
             clock.now_s += 0.1 * ITERATION_BUDGET_S
-    # At most a tenth of the 110 requests may find the budget used up.
-    assert at_once >= 99
+    # At most a tenth of the 110 requests may find the budget used up, and none after the loop has waited for it.
+    assert at_once == 110 if waits else at_once >= 99
 
 
 async def test_nothing_overtakes_queued_work(clock: Clock) -> None:
@@ -148,7 +161,7 @@ async def test_nothing_overtakes_queued_work(clock: Clock) -> None:
     withdrawn = Load("withdrawn", 1.0, 1, clock, scheduler, [])
     # A queued job blocks immediate work, even if it is withdrawn before its turn.
     scheduler.submit(withdrawn)
-    assert not scheduler.may_run_now(100.0)
+    assert not scheduler.may_run_now(100.0, 1.0)
     withdrawn.is_queued = False
     await asyncio.sleep(0)
     assert withdrawn.order == []
