@@ -13,7 +13,7 @@ cost, with a penalty for each feature, falls:
     prune    a feature without which the echoes cost less than PENALTY more is removed
     merge    two nearly equal walls become one where the total cost falls
     split    a line with a wide gap becomes two walls, or the longest part of it, where the total cost falls
-    part     a point that looks different from two sides becomes two, where the total cost falls
+    part     a point that looks different from two sides, or since a return, becomes two, where the total cost falls
     swallow  a short wall becomes a point where the total cost falls
     join     two points become the ends of a wall where the total cost falls
     absorb   a point on a wall becomes part of it where the total cost falls
