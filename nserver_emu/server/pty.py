@@ -77,10 +77,13 @@ class PseudoTerminal:
             return b""
         return data
 
-    def write(self, data: bytes) -> int:
-        """Write as much as the host's buffer takes and return the number of bytes; without a host all is discarded."""
+    def write(self, data: bytes, *, is_reply: bool = False) -> int:
+        """Write as much as the host's buffer takes and return the number of bytes; without a host all is discarded.
+
+        A reply to bytes that were just read has their baud rate, which need not be read again.
+        """
         try:
-            return os.write(self.fd, data if self._has_own_baud() else _nonsense(data))
+            return os.write(self.fd, data if is_reply or self._has_own_baud() else _nonsense(data))
         except BlockingIOError:
             return 0
         except OSError:
