@@ -111,6 +111,8 @@ DIVIDERS_RAD: Final = np.linspace(0.0, np.pi, 12, endpoint=False)
 MIN_PART_ECHOES: Final = 5
 PART_PENALTY: Final = 15.0
 """Of the second of two points that were one until late: 2 ln(200 echoes), and the choice of one of so many points."""
+MIN_LATE_SCORE: Final = 0.5 * PART_PENALTY
+"""Least score of a point for which two are tried: the robust weights of what is far off lower it."""
 MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
 """Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
 HIDDEN_FRACTION: Final = 0.5
@@ -407,7 +409,7 @@ def part_late_points(estimate: MapEstimate) -> int:
     parted, walls = 0, len(estimate.state.walls)
     explained = np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
     for number, score, rows in late_scores(estimate):
-        if number < walls or score < PART_PENALTY:
+        if number < walls or score < MIN_LATE_SCORE:
             continue
         trial = _with_two_points(estimate, number - walls, explained[rows])
         if trial.cost - PENALTY["point"] + PART_PENALTY < estimate.cost:

@@ -679,7 +679,7 @@ class FairScheduler:
         self._submitted: list[Job] = []
         self._is_run_scheduled = False
         # Time left in this iteration for work that is done at once, and when such work last ended. asyncio does not say
-        # when an iteration begins: a wait for sockets, a pause as long as the budget, or a run of the queue, begins one.
+        # when an iteration begins: a wait for sockets, a pause as long as the budget, or a run of the queue begins one.
         self._left_s = ITERATION_BUDGET_S
         self._worked_s = 0.0
         # Loop time less processor time at that work: it grows while the loop waits.

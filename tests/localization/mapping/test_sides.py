@@ -10,8 +10,8 @@ from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
-from localization.mapping.consistency import compare_returns
-from localization.mapping.learn import part_points
+from localization.mapping.consistency import compare_returns, late_scores
+from localization.mapping.learn import part_late_points, part_points
 from localization.mapping.measurements import rotate
 from localization.mapping.problem import (
     NO_FEATURE,
@@ -204,6 +204,44 @@ def test_point_that_two_rooms_share_becomes_two(estimate: MapEstimate) -> None:
     both = made.state.points[np.hypot(*(made.state.points - point).T) < 4.0]
     assert len(both) == 2
     assert abs(float(np.diff(both @ towards)[0]) / np.hypot(*towards)) == pytest.approx(1.9, abs=0.8)
+
+
+@pytest.mark.parametrize("moved_in", [0.0, 3.0, 5.0])
+def test_a_point_that_is_elsewhere_since_a_return_becomes_two(estimate: MapEstimate, moved_in: float) -> None:
+    trajectory, walls = estimate.problem.trajectory, len(estimate.state.walls)
+    # 1. The point with most echoes, left in the middle of the drive; since then another one is measured beside it.
+    sizes = [len(estimate.echoes_of(walls + number)) for number in range(len(estimate.state.points))]
+    feature = np.where(abs(trajectory.node - 58) < 25, NO_FEATURE, estimate.assignment.feature)
+    number = int(np.argmax(sizes))
+    late = np.flatnonzero((feature == walls + number) & (trajectory.node > 58))
+    assert len(late) > 8
+    point = estimate.state.points[number]
+    sensors = sensors_at(estimate.state.poses, estimate.state.parameters, trajectory, late)
+    towards = (sensors.face - point).mean(axis=0)
+    moved = point + moved_in * towards / np.hypot(*towards)
+    readings = trajectory.readings_in.copy()
+    readings[late] += np.hypot(*(sensors.face - moved).T) - np.hypot(*(sensors.face - point).T)
+    made = estimate.copy()
+    made.problem = estimate.problem.with_trajectory(replace(trajectory, readings_in=readings))
+    made.assignment = Assignment(feature)
+    made.optimize(10)
+    # 2. The score is by how much the sum of squares falls if the late echoes have a point of their own.
+    plain = made.copy()
+    plain.problem = made.problem.plain
+    plain.optimize(20)
+    before = plain.problem.cost(plain.state, plain.assignment)
+    score = {at: score for at, score, _ in late_scores(plain)}[walls + number]
+    plain.add_point(point)
+    feature = feature.copy()
+    feature[late] = plain.state.features - 1
+    plain.assignment = Assignment(feature)
+    plain.optimize(20)
+    fall = before - plain.problem.cost(plain.state, plain.assignment)
+    assert score == pytest.approx(fall, rel=0.25, abs=0.5)
+    # 3. The second one is where it was measured.
+    assert part_late_points(made) == (moved_in > 0.0)
+    near = made.state.points[np.hypot(*(made.state.points - moved).T) < 2.0]
+    assert len(near) == 1
 
 
 def test_late_ranges_that_do_not_count_contradict_nothing(estimate: MapEstimate) -> None:
