@@ -129,14 +129,6 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
     ]
 
 
-def contradicted_points(estimate: MapEstimate) -> Indices:
-    """Return the numbers, among all features, of points whose ranges contradict each other: they measured no point."""
-    wrong = [part.place for part in check_parts(estimate) if part.kind == "point" and part.excess > 1.0]
-    points = estimate.state.points
-    nearest = [int(np.hypot(*(points - place).T).argmin()) for place in wrong]
-    return len(estimate.state.walls) + np.unique(np.array(nearest, dtype=np.intp))
-
-
 def _correlation(residuals: Floats, groups: Sequence[Indices]) -> float:
     """Return the correlation of neighbouring residuals (e,) of each feature's echoes, from 0 to MAX_CORRELATION."""
     squares = max(float(np.square(residuals).sum()), 1e-9)

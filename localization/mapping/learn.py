@@ -51,7 +51,7 @@ from localization.mapping.association import (
     track,
     weigh_ranges,
 )
-from localization.mapping.consistency import contradicted_points, late_scores
+from localization.mapping.consistency import late_scores
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import (
@@ -209,7 +209,7 @@ class MapLearner:
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
-        if drop_contradicted(self.estimate) + drop_unmeasured(self.estimate):
+        if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
 
 
@@ -451,26 +451,6 @@ def drop_hidden(estimate: MapEstimate) -> int:
             without.associate()
             estimate.replace_by(without)
             dropped += 1
-    return dropped
-
-
-def drop_contradicted(estimate: MapEstimate) -> int:
-    """Remove points whose ranges contradict each other, solve the map without them, and return their number.
-
-    Such a point is several things, as the edges on both sides of a door, and no part of the map that is written.
-    """
-    dropped = 0
-    for _ in range(LAST_ROUNDS):
-        wrong = contradicted_points(estimate)
-        if not len(wrong):
-            break
-        for number in reversed(wrong.tolist()):
-            estimate.remove(number)
-        estimate.associate()
-        tie_points(estimate)
-        estimate.optimize(LAST_STEPS)
-        estimate.associate()
-        dropped += len(wrong)
     return dropped
 
 

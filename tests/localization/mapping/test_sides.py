@@ -10,8 +10,8 @@ from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
-from localization.mapping.consistency import compare_returns, contradicted_points, late_scores
-from localization.mapping.learn import drop_contradicted, part_late_points, part_points
+from localization.mapping.consistency import compare_returns, late_scores
+from localization.mapping.learn import part_late_points, part_points
 from localization.mapping.measurements import rotate
 from localization.mapping.problem import (
     NO_FEATURE,
@@ -242,25 +242,6 @@ def test_a_point_that_is_elsewhere_since_a_return_becomes_two(estimate: MapEstim
     assert part_late_points(made) == (moved_in > 0.0)
     near = made.state.points[np.hypot(*(made.state.points - moved).T) < 2.0]
     assert len(near) == 1
-
-
-def test_a_point_whose_ranges_contradict_each_other_is_removed(estimate: MapEstimate) -> None:
-    assert not len(contradicted_points(estimate))
-    assert drop_contradicted(estimate.copy()) == 0
-    # Each second range of a point is 3 in longer: no place fits both, from the same directions.
-    walls, trajectory = len(estimate.state.walls), estimate.problem.trajectory
-    number = max(range(len(estimate.state.points)), key=lambda point: len(estimate.echoes_of(walls + point)))
-    readings = trajectory.readings_in.copy()
-    readings[estimate.echoes_of(walls + number)[::2]] += 3.0
-    made = estimate.copy()
-    made.problem = estimate.problem.with_trajectory(replace(trajectory, readings_in=readings))
-    made.optimize(10)
-    assert contradicted_points(made).tolist() == [walls + number]
-    point, count = made.state.points[number], len(made.state.points)
-    assert drop_contradicted(made) == 1
-    assert len(made.state.points) == count - 1
-    assert np.hypot(*(made.state.points - point).T).min() > 20.0
-    assert len(made.state.walls) == walls
 
 
 def test_late_ranges_that_do_not_count_contradict_nothing(estimate: MapEstimate) -> None:
