@@ -14,9 +14,9 @@ beside the early one. Without a step of the others, d = E^-1 e with the covarian
     e' E^-1 e    is chi-square distributed with 2 degrees of freedom for each feature, if both are one
 
 for each feature alone, and for all of them together: a bent path moves many by a little (score test). E and e are those
-of the unknowns d after all others are eliminated from the normal equations. From another place the same surface has
-other errors, however many ranges were measured: edges are round, and walls rough. With D, a displacement that changes
-the late ranges by LATE_STD_IN, in inches and as they count, d has the covariance E^-1 + D:
+of the unknowns d after all others are eliminated from the normal equations. Ranges that are measured
+from one place also have errors in common, however many they are: edges are round, and walls rough. Displacements that
+look like such errors have the covariance D, d then has E^-1 + D, and the score is
 
     e' (E + E D E)^-1 e    D = LATE_STD_IN^2 (sum w) (J' W J)^-1    J derivatives of the late ranges, W their weights w
 
@@ -73,7 +73,7 @@ REPEAT_TANGENT: Final = 1.7
 LATE, LATE_MAP = "late ", "late map"
 """Kinds of the parts that compare what was measured late with what was measured early."""
 LATE_STD_IN: Final = 0.15
-"""Deviation of the errors that ranges to a feature have in common, and of those that grow along it, from one place."""
+"""Deviation of a constant error, and of one that grows along the feature, which its late ranges have in common."""
 MIN_RETURN_ECHOES: Final = 4
 """Echoes before and after the robot had left a feature, that tell where each of both is."""
 
@@ -165,12 +165,16 @@ def compare_returns(estimate: MapEstimate) -> list[Part]:
     for row, rows in enumerate(late.values()):
         own = slice(WALL * row, WALL * (row + 1))
         D[own, own] = common_errors(linear.by_border[rows, 0, :WALL], linear.by_border[rows, 0, WALL])
-    parts = [Part(LATE_MAP, state.poses[-1, :2], *_score(E, e, D, RETURN_RISK, factor))]
+
+    def part(kind: str, place: Floats, own: slice, risk: float) -> Part:
+        freedom = float(len(e[own]))
+        limit = chi_square_quantile(1.0 - risk, freedom) * factor
+        return Part(kind, place, _score(E[own, own], e[own], D[own, own]), freedom, limit)
+
+    parts = [part(LATE_MAP, state.poses[-1, :2], slice(None), RETURN_RISK)]
     for row, number in enumerate(late):
-        own = slice(WALL * row, WALL * (row + 1))
         kind = LATE + ("wall" if number < walls else "point")
-        score = _score(E[own, own], e[own], D[own, own], RETURN_RISK / len(late), factor)
-        parts.append(Part(kind, places[number], *score))
+        parts.append(part(kind, places[number], slice(WALL * row, WALL * (row + 1)), RETURN_RISK / len(late)))
     return parts
 
 
@@ -188,10 +192,9 @@ def common_errors(J: Floats, roots: Floats) -> Floats:
     return D
 
 
-def _score(E: Floats, e: Floats, D: Floats, risk: float, factor: float) -> tuple[float, float, float]:
-    """Return e' (E + E D E)^-1 e, its degrees of freedom, and the quantile of a variance that is larger by a factor."""
-    score = float(e @ np.linalg.solve(E + E @ D @ E + TINY * np.eye(len(E)), e))
-    return score, float(len(e)), chi_square_quantile(1.0 - risk, float(len(e))) * factor
+def _score(E: Floats, e: Floats, D: Floats) -> float:
+    """Return e' (E + E D E)^-1 e."""
+    return float(e @ np.linalg.solve(E + E @ D @ E + TINY * np.eye(len(E)), e))
 
 
 def late_scores(estimate: MapEstimate) -> list[tuple[int, float, Indices]]:
@@ -207,7 +210,7 @@ def late_scores(estimate: MapEstimate) -> list[tuple[int, float, Indices]]:
     E, e = late_information(estimate, list(late.values()))
     blocks, no_errors = E.reshape(len(late), WALL, len(late), WALL), np.zeros((WALL, WALL))
     return [
-        (number, _score(blocks[k, :, k], own, no_errors, RETURN_RISK, 1.0)[0], rows)
+        (number, _score(blocks[k, :, k], own, no_errors), rows)
         for k, ((number, rows), own) in enumerate(zip(late.items(), e.reshape(-1, WALL), strict=True))
     ]
 

@@ -403,8 +403,12 @@ def part_points(estimate: MapEstimate) -> int:
 def part_late_points(estimate: MapEstimate) -> int:
     """Replace points that are elsewhere since the robot came back by two where the total cost falls.
 
-    A map that is bent until one point is both explains the echoes of both: their residuals do not show it. Returns the
-    number of new points.
+    A map that is bent until one point fits the echoes of both has small residuals: the score of late echoes shows it.
+
+    Returns
+    -------
+    int
+        The number of new points.
     """
     parted, walls = 0, len(estimate.state.walls)
     explained = np.flatnonzero(estimate.assignment.feature != NO_FEATURE)

@@ -137,8 +137,10 @@ class PtyConnection(ConnectionHandler):
             self.terminal.reset()
         elif data:
             self._has_just_read = True
-            self.data_received(data)
-            self._has_just_read = False
+            try:
+                self.data_received(data)
+            finally:
+                self._has_just_read = False
 
     def _on_closed(self) -> None:
         """Disconnect the host: its motions stop; requests that wait and replies in its channel are dropped."""
