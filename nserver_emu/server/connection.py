@@ -292,16 +292,15 @@ class ConnectionHandler(ABC):
         the reply is made with whatever is left to do.
         """
         server, session = self._server, self.session
-        is_simulated = self.is_scheduled and server.handler is server.emulator
-        if is_simulated and session.ready:
-            now_ps = server.emulator.simulation.time_ps
-            if now_ps != self._prepared_ps:
-                self._preparing_steps += 1
-                self._prepared_ps = now_ps
-            may_prepare = self._preparing_steps <= MAX_PREPARING_STEPS
-            if may_prepare and not server.emulator.prepare_reply(session.context, session.call_to_prepare()):
-                return False
-        self._preparing_steps, self._prepared_ps = 0, -1
+        if session.ready and self.is_scheduled and server.handler is server.emulator:
+            if not server.emulator.prepare_reply(session.context, session.call_to_prepare()):
+                now_ps = server.emulator.simulation.time_ps
+                if now_ps != self._prepared_ps:
+                    self._preparing_steps += 1
+                    self._prepared_ps = now_ps
+                if self._preparing_steps < MAX_PREPARING_STEPS:
+                    return False
+            self._preparing_steps, self._prepared_ps = 0, -1
         return True
 
     def _send_replies(self, replies: bytes, has_request: bool = False, by_time: bool = False) -> None:

@@ -7,7 +7,8 @@ a killed server is replaced. Only the server's end stays open here: the system r
 last host closes its end. A host that opens the link immediately after another closed it, before the server has seen the
 hang-up, is not recognised as a new host.
 
-A host that sets another baud rate than the robot's gets nonsense, and the robot gets nothing of it, as on a cable.
+A host that sets another baud rate than the robot's gets nonsense, and the robot gets nothing of it, as on a cable. A
+change of the rate is noticed within 2 ms, less than a request and its reply take on a cable.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ import select
 import socket
 import sys
 import termios
+import time
 import tty
 from pathlib import Path
 from typing import Final
@@ -27,6 +29,8 @@ from nclient.errors import ConnectionLost
 DEFAULT_BAUD: Final = 38400
 """Baud rate of the robot's line."""
 _INPUT_SPEED, _OUTPUT_SPEED = 4, 5  # places in the settings of termios
+# To read the baud rate takes as long as to read a request.
+_BAUD_CHECK_INTERVAL_S: Final = 0.002
 
 
 class PseudoTerminal:
@@ -47,6 +51,9 @@ class PseudoTerminal:
         self.fd = -1
         # Path of the host's end.
         self.device = ""
+        # True if the host's baud rate was the robot's when last checked, and the time from which it is checked again.
+        self._is_own_baud = True
+        self._next_baud_check_s = 0.0
         self._poll = select.poll()
         try:
             self._open()
@@ -77,13 +84,10 @@ class PseudoTerminal:
             return b""
         return data
 
-    def write(self, data: bytes, *, is_reply: bool = False) -> int:
-        """Write as much as the host's buffer takes and return the number of bytes; without a host all is discarded.
-
-        A reply to bytes that were just read has their baud rate, which need not be read again.
-        """
+    def write(self, data: bytes) -> int:
+        """Write as much as the host's buffer takes and return the number of bytes; without a host all is discarded."""
         try:
-            return os.write(self.fd, data if is_reply or self._has_own_baud() else _nonsense(data))
+            return os.write(self.fd, data if self._has_own_baud() else _nonsense(data))
         except BlockingIOError:
             return 0
         except OSError:
@@ -91,6 +95,7 @@ class PseudoTerminal:
 
     def reset(self) -> None:
         """Discard what a host has not read and restore raw mode, after it closed its end."""
+        self._next_baud_check_s = 0.0
         other = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             self._set_raw(other)
@@ -135,15 +140,19 @@ class PseudoTerminal:
             # The host's end is opened by hosts only: an own descriptor would hide their hang-up.
             os.close(other)
         self.fd = fd
+        self._next_baud_check_s = 0.0
         self._poll.register(fd, select.POLLIN)
 
     def _has_own_baud(self) -> bool:
         """Return True if the host has set a baud rate of the robot, which both ends of a pseudo-terminal show."""
-        try:
-            return termios.tcgetattr(self.fd)[_OUTPUT_SPEED] in self._speeds
-        except termios.error:
-            # The terminal has gone, which the caller's next access reports.
-            return True
+        now_s = time.monotonic()
+        # A host with a wrong rate may correct it and send at once.
+        if now_s >= self._next_baud_check_s or not self._is_own_baud:
+            self._next_baud_check_s = now_s + _BAUD_CHECK_INTERVAL_S
+            # If the terminal has gone, the caller's next access reports it.
+            with contextlib.suppress(termios.error):
+                self._is_own_baud = termios.tcgetattr(self.fd)[_OUTPUT_SPEED] in self._speeds
+        return self._is_own_baud
 
     @staticmethod
     def _set_raw(file: int) -> None:

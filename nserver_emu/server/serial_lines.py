@@ -91,8 +91,6 @@ class PtyConnection(ConnectionHandler):
         self._is_reading = False
         # The rest of a reply that the terminal has taken in part.
         self._write_buffer = b""
-        # True while bytes that were just read are processed.
-        self._has_just_read = False
         self._next_link_check_s = 0.0
         self._start_session()
         daemon.connections.add(self)
@@ -136,11 +134,7 @@ class PtyConnection(ConnectionHandler):
             self._on_closed()
             self.terminal.reset()
         elif data:
-            self._has_just_read = True
-            try:
-                self.data_received(data)
-            finally:
-                self._has_just_read = False
+            self.data_received(data)
 
     def _on_closed(self) -> None:
         """Disconnect the host: its motions stop; requests that wait and replies in its channel are dropped."""
@@ -164,7 +158,7 @@ class PtyConnection(ConnectionHandler):
         if self._write_buffer:
             self.lost += len(data)
             return
-        count = self.terminal.write(data, is_reply=self._has_just_read)
+        count = self.terminal.write(data)
         if count < len(data):
             self._write_buffer = data[count:]
             self._loop.add_writer(self.terminal.fd, self._on_writable)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import termios
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server.pty import PseudoTerminal
+from nserver_emu.server.pty import _BAUD_CHECK_INTERVAL_S, PseudoTerminal
 
 
 @pytest.fixture
@@ -25,6 +26,13 @@ def terminal(path: Path) -> Iterator[PseudoTerminal]:
     made = PseudoTerminal(path)
     yield made
     made.close()
+
+
+def set_baud(host: int, speed: int) -> None:
+    settings = termios.tcgetattr(host)
+    # Input and output speed.
+    settings[4] = settings[5] = speed
+    termios.tcsetattr(host, termios.TCSANOW, settings)
 
 
 def opened(path: Path) -> int:
@@ -70,6 +78,42 @@ def test_reset_discards_bytes_and_settings(terminal: PseudoTerminal, path: Path)
     assert not termios.tcgetattr(host)[tty.LFLAG] & (termios.ECHO | termios.ICANON)
     with pytest.raises(BlockingIOError):
         os.read(host, 100)
+    os.close(host)
+
+
+def test_changes_of_the_baud_rate_are_noticed(
+    terminal: PseudoTerminal, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    host = opened(path)
+
+    def exchanged() -> tuple[bytes | None, bytes]:
+        os.write(host, b"request")
+        read = terminal.read(100)
+        # At a wrong rate the request itself is answered with noise.
+        terminal.write(b"reply")
+        return read, os.read(host, 100)
+
+    assert exchanged() == (b"request", b"reply")
+    # 1. Another rate counts after the interval, from the first byte.
+    set_baud(host, termios.B9600)
+    assert exchanged() == (b"request", b"reply")
+    now_s += _BAUD_CHECK_INTERVAL_S
+    read, answer = exchanged()
+    assert read == b""
+    assert len(answer) == len(b"request" + b"reply")
+    assert all(byte & 0x80 for byte in answer)
+    # 2. The right one counts at once.
+    set_baud(host, termios.B38400)
+    assert exchanged() == (b"request", b"reply")
+    # 3. The next host's rate counts at once, too.
+    os.close(host)
+    assert terminal.read(1) is None
+    terminal.reset()
+    host = opened(path)
+    set_baud(host, termios.B9600)
+    assert exchanged()[0] == b""
     os.close(host)
 
 
