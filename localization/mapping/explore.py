@@ -188,6 +188,13 @@ class Grid:
         """Return the centres (n, 2) of cells (n, 2)."""
         return self.low + (cells + 0.5) * CELL_IN
 
+    def square(self, centre: Floats, half_in: float) -> tuple[slice, slice]:
+        """Return the rows and columns of the cells in a square about a point (2,)."""
+        low = np.floor((centre - half_in - self.low) / CELL_IN).astype(int)
+        high = np.floor((centre + half_in - self.low) / CELL_IN).astype(int) + 1
+        rows, columns = (slice(max(a, 0), max(b, 0)) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        return rows, columns
+
     @property
     def reached(self) -> Mask:
         """Cells that the robot can reach."""
@@ -247,7 +254,7 @@ class Explorer:
         self._before: Place | None = None
         self._clock_s = 0.0
         self._place: Place | None = None
-        self._is_blocked = self._is_undecided = self._is_stuck = self._is_driven = False
+        self._is_blocked = self._is_undecided = self._is_stuck = self._is_driven = self._is_going_back = False
         self._blocked_at: Point = inf, inf
         self._revisions = 0
         self._free_directions: list[float] = []
@@ -270,7 +277,10 @@ class Explorer:
             if self._is_stuck or free_in(direction) < MIN_FREE_IN:
                 # The same reading would block this leg as well: first away from what is near.
                 self._place = None
-                return self._way_back(pose, mapper.poses) or self._free_leg(pose, free_in, ESCAPE_IN)
+                back = [] if self._is_going_back else self._way_back(pose, mapper.poses)
+                self._is_going_back = bool(back)
+                return back or self._free_leg(pose, free_in, ESCAPE_IN)
+        self._is_going_back = False
         return path
 
     @property
@@ -546,19 +556,24 @@ class Explorer:
         centres = grid.centres(reached)
         costs = grid.cost[reached[:, 0], reached[:, 1]]
         visited = mapper.poses[:, :2]
-        space = grid.space[reached[:, 0], reached[:, 1]]
+        space, echo_in = grid.space[reached[:, 0], reached[:, 1]], grid.echo_in[reached[:, 0], reached[:, 1]]
+        numbers = np.full(grid.free.shape, -1, dtype=np.intp)
+        numbers[reached[:, 0], reached[:, 1]] = np.arange(len(reached))
         choices: list[tuple[float, float, Place, npt.NDArray[np.intp]]] = []
         for place, radius in self._candidates(grid, mapper, reached):
             at = np.array((place.x_in, place.y_in))
-            away = np.hypot(*(centres - at).T)
-            near = away < radius
+            # 1. The cells about the place.
+            rows = numbers[grid.square(at, radius)].ravel()
+            rows = rows[rows >= 0]
+            away = np.hypot(*(centres[rows] - at).T)
+            rows, away = rows[away < radius], away[away < radius]
             tries = self._tries(place)
-            if not near.any() or tries >= MAX_TRIES[place.kind]:
+            if not len(rows) or tries >= MAX_TRIES[place.kind]:
                 continue
-            near = self._cells_to_look_from(place, tries, near, space, away, grid.echo_in[reached[:, 0], reached[:, 1]])
-            # The nearest cell to the place, cheap to reach.
-            rows = np.flatnonzero(near)
-            rows = rows[np.argsort((away + 0.3 * costs)[rows], kind="stable")]
+            # 2. The nearest of those to look from, cheap to reach.
+            chosen_rows = self._cells_to_look_from(place, tries, space[rows], away, echo_in[rows])
+            rows, away = rows[chosen_rows], away[chosen_rows]
+            rows = rows[np.argsort(away + 0.3 * costs[rows], kind="stable")]
             number = _first_in_sight(centres, rows, at, grid.walls) if place.kind == "frontier" else int(rows[0])
             if number is None:
                 continue
@@ -599,23 +614,23 @@ class Explorer:
         return path
 
     def _cells_to_look_from(
-        self, place: Place, tries: int, near: Mask, space: Floats, away: Floats, echo_in: Floats
+        self, place: Place, tries: int, space: Floats, away: Floats, echo_in: Floats
     ) -> Mask:
-        """Return the cells (n,) of those near a place from which it is looked at.
+        """Return the cells (n,) of those near a place from which it is looked at; of a frontier it may be none.
 
         Beside a wall nearer than sonars measure nothing shows how near it is: there only where there is no other cell.
         A frontier is looked at first from where sonars measure a wall, then from as near as the robot can come, but not
         where they have measured something: the edge of a door reflects little from near.
         """
         for least_in in (CLEAR_IN, COMFORT_IN):
-            with_space = near & (space > self._body_in + least_in)
+            with_space = space > self._body_in + least_in
             if place.kind == "frontier" and tries:
                 with_space &= (least_in == COMFORT_IN) & (echo_in > self._body_in + COMFORT_IN)
             elif place.kind == "frontier":
                 with_space &= away > LOOK_IN
             if with_space.any() or (place.kind == "frontier" and least_in == COMFORT_IN):
                 return with_space
-        return near
+        return np.ones(len(space), dtype=np.bool_)
 
     def _is_for(self, place: Place) -> bool:
         """Return True for the frontier for which the leg before was driven."""

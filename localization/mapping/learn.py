@@ -300,14 +300,17 @@ def _losses(estimate: MapEstimate, first_node: int) -> Floats:
     """Return by how much the cost of the echoes rises without each feature (f,); inf for those not measured lately."""
     state, node = estimate.state, estimate.problem.trajectory.node
     losses = np.full(state.features, np.inf)
-    for feature in range(state.features):
-        echoes = estimate.echoes_of(feature)
-        if first_node and len(echoes) and node[echoes[-1]] < first_node:
-            continue
+    echoes_of = [estimate.echoes_of(feature) for feature in range(state.features)]
+    recent = [feature for feature, echoes in enumerate(echoes_of)
+              if not first_node or not len(echoes) or node[echoes[-1]] >= first_node]
+    if not recent:
+        return losses
+    bounds = np.cumsum([len(echoes_of[feature]) for feature in recent])
+    _, costs = assign(estimate, np.concatenate([echoes_of[feature] for feature in recent]))
+    for feature, now in zip(recent, np.split(costs, bounds[:-1]), strict=True):
         without = estimate.copy()
         without.remove(feature)
-        _, now = assign(estimate, echoes)
-        _, then = assign(without, echoes)
+        _, then = assign(without, echoes_of[feature])
         losses[feature] = then.sum() - now.sum()
     return losses
 

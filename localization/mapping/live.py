@@ -43,7 +43,7 @@ from nclient.state import RobotState
 WHOLE_ROUNDS, WHOLE_NODES = 4, 600
 """Of so many solutions one takes the echoes of so many nodes for births: in 30 s too little is seen of a wall that the
 robot passes now and then. Rooms are explored in 300 s."""
-NODES_PER_FRACTION: Final = 40
+NODES_PER_FRACTION: Final = 25
 """The longer the drive, the rarer the whole map is solved: the effort grows with its nodes."""
 ALWAYS_CHALLENGED: Final = 80
 """Nodes up to which each map is compared with one learned from the beginning: the first 40 s decide."""

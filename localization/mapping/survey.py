@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import cos, degrees, dist, hypot, inf, pi, radians, sin
 from typing import Final, NamedTuple, Protocol
 
@@ -51,6 +51,8 @@ Point = tuple[float, float]
 
 GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
+NEAR_S: Final = 4.0
+"""The same of a short reading while its sonar measures nothing: a wall that is too near or oblique returns no echo."""
 REACTION_S: Final = 1.5
 """The free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
@@ -64,6 +66,12 @@ ASIDE_RAD: Final = radians(80.0)
 """Obstacles farther aside are not approached."""
 DEAD_ZONE_RAD: Final = radians(60.0)
 """A reading at the lower limit of 6 in may be anything from 0 to 6: nearer to the direction than this it blocks."""
+DRIVEN_ZONE_RAD: Final = radians(30.0)
+"""The same where the robot comes from."""
+TRAIL_S, TRAIL_STEP_IN, TRAIL_IN = 30.0, 2.0, 0.7
+"""It comes from where it was within this time, if it was so near to the place that is a step ahead."""
+SAME_AXIS_RAD: Final = 0.05
+"""Readings of axes that differ by less are of one sonar."""
 BLIND_IN: Final = 8.0
 """Beside a wall nearer than sonars measure a leg goes on for this far: at up to 30 degrees off its direction the body
 comes 4 in nearer, of the 5.3 in that it has."""
@@ -119,6 +127,20 @@ class Geofence:
         return self.low[0] <= x_in <= self.high[0] and self.low[1] <= y_in <= self.high[1]
 
 
+class _AcrossAxis(NamedTuple):
+    """A reading as a wall across the axis of its sonar, in the frame of the encoders."""
+
+    clock_s: float
+    axis_rad: float
+    distance_in: float
+    """From the origin."""
+    reading_in: float
+
+    def is_of_sonar(self, axis_rad: float) -> bool:
+        """Return True for the axis of the same sonar: the turret stands."""
+        return abs(angle_difference(self.axis_rad, axis_rad)) < SAME_AXIS_RAD
+
+
 class SpeedGuard:
     """The free distance ahead by the readings of the last seconds, in the frame of the encoders.
 
@@ -138,36 +160,64 @@ class SpeedGuard:
         self._rays = rays
         self._spots: deque[tuple[float, float, float]] = deque()
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
-        self._sonars = body.ring.count
-        self._walls: deque[tuple[float, float, float, float]] = deque()
+        self._sonars, self._longest_in = body.ring.count, body.ring.max_range_in
+        self._walls: deque[_AcrossAxis] = deque()
         self._places: deque[Floats] = deque()
+        self._near: list[_AcrossAxis] = []
+        self._trail: deque[tuple[float, float, float]] = deque()
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
-        while self._walls and self._walls[0][0] < clock_s - GUARD_S:
-            self._walls.popleft()
+        has_echo = reading_in < self._longest_in
+        self._near = [
+            wall for wall in self._near
+            if wall.clock_s >= clock_s - NEAR_S and not (has_echo and wall.is_of_sonar(axis_rad))
+        ]  # fmt: skip
+        while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
+            wall = self._walls.popleft()
             self._places.popleft()
+            if wall.reading_in <= self._shortest_in + SHORT_IN and self._is_silent(wall.axis_rad):
+                self._near.append(wall)
         distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
-        self._walls.append((clock_s, axis_rad, distance, reading_in))
+        self._walls.append(_AcrossAxis(clock_s, axis_rad, distance, reading_in))
         self._places.append(encoders[:2].copy())
+        while self._trail and self._trail[0][0] < clock_s - TRAIL_S:
+            self._trail.popleft()
+        self._trail.append((clock_s, float(encoders[0]), float(encoders[1])))
         while self._spots and self._spots[0][0] < clock_s - SPOT_S:
             self._spots.popleft()
         if self._rays and self._shortest_in < reading_in <= SPOT_IN:
             away = self._ring_in + reading_in
             self._spots.append((clock_s, encoders[0] + away * cos(axis_rad), encoders[1] + away * sin(axis_rad)))
 
+    def _is_silent(self, axis_rad: float) -> bool:
+        """Return True if the sonar with this axis has fired in the last GUARD_S and measured nothing."""
+        readings = [wall.reading_in for wall in self._walls if wall.is_of_sonar(axis_rad)]
+        return bool(readings) and min(readings) >= self._longest_in
+
+    def on_contact(self) -> None:
+        """Forget where the robot was: what it touched is in the way there."""
+        self._trail.clear()
+
+    def comes_from(self, encoders: Floats, direction_rad: float) -> bool:
+        """Return True if the robot was lately where a step in a direction leads from an encoder pose."""
+        x = float(encoders[0]) + TRAIL_STEP_IN * cos(direction_rad)
+        y = float(encoders[1]) + TRAIL_STEP_IN * sin(direction_rad)
+        return any(hypot(x - was_x, y - was_y) < TRAIL_IN for _, was_x, was_y in self._trail)
+
     def is_complete(self, clock_s: float) -> bool:
         """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
-        return sum(wall[0] >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
+        return sum(wall.clock_s >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
 
     def short_beams(self, encoders: Floats) -> Floats:
         """Return x, y, axis and range (k, 4) of the short readings, from the sonar, in the frame of an encoder pose."""
         found = [
-            (place[0] + self._ring_in * cos(axis), place[1] + self._ring_in * sin(axis), axis, reading)
-            for (_, axis, _, reading), place in zip(self._walls, self._places, strict=True)
-            if reading <= self._shortest_in + SHORT_IN
+            (place[0] + self._ring_in * cos(wall.axis_rad), place[1] + self._ring_in * sin(wall.axis_rad),
+             wall.axis_rad, wall.reading_in)
+            for wall, place in zip(self._walls, self._places, strict=True)
+            if wall.reading_in <= self._shortest_in + SHORT_IN
         ]
         beams = np.array(found).reshape(-1, 4)
         beams[:, :2] = rotate(beams[:, :2] - encoders[:2], np.full(len(beams), -float(encoders[2])))
@@ -188,12 +238,14 @@ class SpeedGuard:
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
         nearest, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
-        for _, axis, distance, reading in self._walls:
+        # Where the robot comes from it has space, unless something has moved straight into its way.
+        zone = DRIVEN_ZONE_RAD if self.comes_from(encoders, direction_rad) else DEAD_ZONE_RAD
+        for _, axis, distance, reading in chain(self._near, self._walls):
             off = max(abs(angle_difference(direction_rad, axis)) - HALF_CONE_RAD, 0.0)
             if off > ASIDE_RAD:
                 continue
             if reading <= self._shortest_in:
-                if off < DEAD_ZONE_RAD:
+                if off < zone:
                     return 0.0
                 self.is_blind = True
                 continue
@@ -329,6 +381,7 @@ class _Motion:
         """Return the velocities, or why the drive ends."""
         # 1. Contacts: back off, away from where it drove to.
         if is_touching and self._back_off is None:
+            self._guard.on_contact()
             self.log.contacts.append((float(pose[0]), float(pose[1])))
             self.log.notes.append((elapsed_s, f"touched something at ({pose[0]:.1f}, {pose[1]:.1f})"))
             if len(self.log.contacts) >= MAX_CONTACTS:

@@ -217,6 +217,22 @@ def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.Mon
     assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
 
 
+def test_way_back_that_is_blocked_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
+    monkeypatch.setattr(explorer, "_chosen_leg", lambda *_: [(30.0, 20.0)])
+    driven = NoMap()
+    driven.poses = np.array([(0.0, 20.0, 0.0), (10.0, 20.0, 0.0)])
+    mapper = cast("LiveMapper", driven)
+    # Both ahead and back something is too near; only to the left there is space.
+    found = []
+    for _ in range(4):
+        found.append(explorer.leg(1.0, pose, mapper, lambda way: 40.0 if np.cos(way - np.pi / 2.0) > 0.99 else 0.0))
+        explorer.end_leg(pose, "blocked", 0.0)
+    first, back, aside, again = found
+    assert (first, back, again) == ([(30.0, 20.0)], [(0.0, 20.0)], [(0.0, 20.0)])
+    np.testing.assert_allclose(np.array(aside), np.array([(10.0, 28.0)]), atol=1e-9)
+
+
 def test_way_back_is_where_the_robot_was() -> None:
     explorer = Explorer(BODY_IN, 6.0, 300.0)
     poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (14.0, 0.0, 0.0), (14.0, 5.0, 1.5)])

@@ -60,6 +60,47 @@ def test_dead_zone_blocks_ahead_but_not_beside() -> None:
     assert guard((0.0, pi / 2.0, 6.0)).free_in(STAND, 0.0) == np.inf
 
 
+def test_near_wall_whose_echo_vanishes_is_remembered() -> None:
+    # At 10 in, then the robot comes 5 in nearer and its sonar measures nothing.
+    nearer, nothing = np.array((5.0, 0.0, 0.0, 0.0)), N150.ring.max_range_in
+    silent = guard((0.0, 0.0, 10.0), (1.0, 0.0, nothing), (2.0, 0.0, nothing), (3.0, 0.0, nothing))
+    left_in = 10.0 + N150.ring.radius_in - N150.radius_in - 1.5
+    assert silent.free_in(nearer, 0.0) == pytest.approx(left_in - 5.0)
+    # Not one that was far, nor of a sonar that does not fire.
+    for readings in ([(0.0, 0.0, 13.0), (1.0, 0.0, nothing)], [(0.0, 0.0, 10.0), (1.0, pi, nothing)]):
+        assert guard(*readings, (3.0, pi, nothing)).free_in(nearer, 0.0) > 200.0
+    # Until the sonar measures something, or 4 s have passed.
+    silent.add(3.5, nearer, 0.0, 60.0)
+    assert silent.free_in(nearer, 0.0) == pytest.approx(60.0 - 10.0 + left_in)
+    silent = guard((0.0, 0.0, 10.0), (1.0, 0.0, nothing), (3.0, 0.0, nothing), (4.1, 0.0, nothing))
+    assert silent.free_in(nearer, 0.0) > 200.0
+
+
+def test_robot_goes_back_along_a_wall_too_near_to_measure() -> None:
+    # It has come from x = -10 with a wall to the left that its oblique sonars show at the lower limit.
+    made = SpeedGuard(N150)
+    for step in range(21):
+        made.add(0.1 * step, np.array((-10.0 + 0.5 * step, 0.0, 0.0, 0.0)), np.radians(60.0 + step % 3 * 30.0), 6.0)
+    assert made.free_in(STAND, 0.0) == 0.0
+    assert made.free_in(STAND, pi) == np.inf
+    assert made.is_blind
+    # Not where it has not been, where something is straight ahead, or on the way to what it has touched.
+    assert made.free_in(np.array((-10.0, 0.0, 0.0)), pi) == 0.0
+    made.add(2.1, STAND, np.radians(175.0), 6.0)
+    assert made.free_in(STAND, pi) == 0.0
+    made = SpeedGuard(N150)
+    made.add(0.0, np.array((-2.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
+    made.add(1.0, STAND, np.radians(130.0), 6.0)
+    assert made.free_in(STAND, pi) == np.inf
+    made.on_contact()
+    assert made.free_in(STAND, pi) == 0.0
+    # Where it was a minute ago something may be now.
+    made.add(2.0, np.array((-2.0, 0.0, 0.0, 0.0)), np.radians(130.0), 6.0)
+    assert made.free_in(STAND, pi) == np.inf
+    made.add(40.0, STAND, np.radians(130.0), 6.0)
+    assert made.free_in(STAND, pi) == 0.0
+
+
 def test_geofence_contains_its_inside() -> None:
     fence = Geofence((-5.0, -5.0), (5.0, 10.0))
     assert fence.contains(0.0, 9.0)
