@@ -36,7 +36,7 @@ import numpy.typing as npt
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
-from localization.mapping.problem import sensors_at
+from localization.mapping.problem import NO_FEATURE, sensors_at
 from localization.mapping.survey import REVERSE_RAD, Geofence, Point
 from localization.mapping.walls import (
     ON_LINE_IN,
@@ -114,6 +114,8 @@ ESCAPE_IN: Final = 8.0
 """Then the robot drives back by this much: the edge of a wall that reflects little may be near in other directions."""
 AHEAD_IN, BLOCKED_S = 3.0, 60.0
 """Distance from the body to what blocked a leg, and how long it counts."""
+SAME_HIT_IN: Final = 5.0
+"""Two rays that end nearer to each other hit the same thing; one alone may be a bad reading."""
 MAX_REVISIONS: Final = 2
 START_LEG_IN: Final = 30.0
 START_TURN_IN: Final = 5.0
@@ -431,7 +433,9 @@ class Explorer:
             point: since_s for point, since_s in self.blocked.items()
             if self._clock_s - since_s < BLOCKED_S and np.hypot(*(been - point).T).min() > self._body_in
         }  # fmt: skip
-        grid.walls = obstacles = np.concatenate((walls, self._blocks()))
+        hits = [_unexplained_hits(estimate) for estimate in (mapper.estimate, mapper.recent) if estimate is not None]
+        spots = passed(_posts(np.concatenate(hits)), been, self._body_in) if hits else np.zeros((0, 4))
+        grid.walls = obstacles = np.concatenate((walls, self._blocks(), spots))
         if len(obstacles):
             marks = np.zeros(grid.free.shape, dtype=np.bool_)
             samples = np.concatenate([_samples(row) for row in obstacles])
@@ -446,10 +450,7 @@ class Explorer:
 
     def _blocks(self) -> Floats:
         """Return what blocked legs, as short segments (n, 4)."""
-        if not self.blocked:
-            return np.zeros((0, 4))
-        points = np.array(list(self.blocked))
-        return np.concatenate((points - (1.0, 0.0), points + (1.0, 0.0)), axis=1)  # noqa: RUF005
+        return _posts(np.array(list(self.blocked)).reshape(-1, 2))
 
     def _mark_sectors(self, grid: Grid, paths: tuple[Floats, Floats]) -> None:
         """Mark the sectors about paths of sound, of starts and ends (p, 2), to the spots that reflected it."""
@@ -779,6 +780,32 @@ class Explorer:
                 if segment_clearances(line, walls)[0] > self._body_in + COMFORT_IN + 2.0:
                     return [(float(line[0, 2]), float(line[0, 3]))]
         return None
+
+
+def _unexplained_hits(estimate: MapEstimate) -> Floats:
+    """Return where exact rays have hit something that the map does not have (n, 2), twice near to each other at least.
+
+    Cones do not tell where something is.
+    """
+    echoes = estimate.echoes()
+    echoes = echoes[estimate.assignment.feature[echoes] == NO_FEATURE]
+    if not estimate.problem.rays or not len(echoes):
+        return np.zeros((0, 2))
+    state, trajectory = estimate.state, estimate.problem.trajectory
+    sensors = sensors_at(state.poses, state.parameters, trajectory, echoes)
+    axes = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
+    hits: Floats = sensors.face + sensors.range_in[:, None] * axes
+    is_near = np.hypot(*(hits[:, None] - hits).transpose(2, 0, 1)) < SAME_HIT_IN
+    hits = hits[is_near.sum(axis=1) > 1]
+    _, first_of = np.unique(np.floor(hits / CELL_IN), axis=0, return_index=True)
+    return np.asarray(hits[first_of])
+
+
+def _posts(points: Floats) -> Floats:
+    """Return points (n, 2) as short segments (n, 4)."""
+    half = np.array((1.0, 0.0))
+    posts: Floats = np.concatenate((points - half, points + half), axis=1)
+    return posts
 
 
 def _dense(path: Floats) -> Floats:

@@ -51,15 +51,17 @@ Point = tuple[float, float]
 
 GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
-NEAR_S: Final = 4.0
-"""The same of a short reading while its sonar measures nothing: a wall that is too near or oblique returns no echo."""
+NEAR_S, NEAR_IN = 4.0, 24.0
+"""The same of a reading of at most this length while its sonar measures nothing: the end of a wall that was measured
+may return no echo from nearer."""
 REACTION_S: Final = 1.5
 """The free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
 """The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
 GUARD_MARGIN_IN: Final = 1.5
-SPOT_S, SPOT_IN = 15.0, 20.0
-"""Where a ray of at most this length ended something is for so long: ends of walls come to lie between two rays."""
+SPOT_S, SPOT_IN = 30.0, 20.0
+"""Where a ray of at most this length ended something is for so long: ends of walls come to lie between two rays. One at
+the lower limit ended somewhere up to that; half of it counts."""
 SPOT_MARGIN_IN: Final = 1.5
 """Space beside the body to these spots, which are a turn of the ring apart. A gap of 24 in leaves 2.3 in."""
 ASIDE_RAD: Final = radians(80.0)
@@ -178,7 +180,7 @@ class SpeedGuard:
         while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
             wall = self._walls.popleft()
             self._places.popleft()
-            if wall.reading_in <= self._shortest_in + SHORT_IN and self._is_silent(wall.axis_rad):
+            if wall.reading_in <= NEAR_IN and self._is_silent(wall.axis_rad):
                 self._near.append(wall)
         distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
         self._walls.append(_AcrossAxis(clock_s, axis_rad, distance, reading_in))
@@ -188,8 +190,8 @@ class SpeedGuard:
         self._trail.append((clock_s, float(encoders[0]), float(encoders[1])))
         while self._spots and self._spots[0][0] < clock_s - SPOT_S:
             self._spots.popleft()
-        if self._rays and self._shortest_in < reading_in <= SPOT_IN:
-            away = self._ring_in + reading_in
+        if self._rays and reading_in <= SPOT_IN:
+            away = self._ring_in + (reading_in if reading_in > self._shortest_in else 0.5 * self._shortest_in)
             self._spots.append((clock_s, encoders[0] + away * cos(axis_rad), encoders[1] + away * sin(axis_rad)))
 
     def _is_silent(self, axis_rad: float) -> bool:

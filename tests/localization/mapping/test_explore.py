@@ -22,10 +22,12 @@ from localization.mapping.explore import (
     _end_places,
     _Finished,
     _first_in_sight,
+    _unexplained_hits,
     pushed,
 )
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.measurements import read_drive
+from localization.mapping.problem import NO_FEATURE, MapProblem
 from localization.mapping.walls import Piece
 from localization.navigation.path import wall_distances
 from localization.navigation.roadmap import segment_clearances
@@ -191,6 +193,26 @@ class NoMap:
     """A mapper before its first solution."""
 
     rounds, poses = 0, np.zeros((0, 3))
+
+
+def test_what_exact_rays_hit_twice_is_an_obstacle(estimate: MapEstimate) -> None:
+    # 1. All echoes are explained; without a wall those of it are not.
+    without = estimate.copy()
+    wall, echoes = without.state.walls[0], without.echoes_of(0)
+    without.remove(0)
+    without.assignment.feature[:] = np.where(np.isin(np.arange(len(without.assignment.feature)), echoes), NO_FEATURE, 0)
+    assert len(_unexplained_hits(without)) == 0, "cones do not tell where something is"
+    # 2. As rays they end where the wall is, but for how far off their axis the drive's cones have measured it.
+    trajectory, old = without.problem.trajectory, without.problem
+    without.problem = MapProblem(trajectory, 16, rays=True, reflection=old.reflection)
+    hits = _unexplained_hits(without)
+    across = np.abs(hits @ (np.cos(wall[0]), np.sin(wall[0])) - wall[1])
+    assert len(hits) > 5
+    assert np.median(across) < 2.0
+    # 3. One alone may be a bad reading.
+    without.assignment.feature[:] = 0
+    without.assignment.feature[echoes[:1]] = NO_FEATURE
+    assert len(_unexplained_hits(without)) == 0
 
 
 def test_what_blocks_a_leg_lies_ahead_of_the_body() -> None:

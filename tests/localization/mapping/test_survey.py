@@ -67,7 +67,7 @@ def test_near_wall_whose_echo_vanishes_is_remembered() -> None:
     left_in = 10.0 + N150.ring.radius_in - N150.radius_in - 1.5
     assert silent.free_in(nearer, 0.0) == pytest.approx(left_in - 5.0)
     # Not one that was far, nor of a sonar that does not fire.
-    for readings in ([(0.0, 0.0, 13.0), (1.0, 0.0, nothing)], [(0.0, 0.0, 10.0), (1.0, pi, nothing)]):
+    for readings in ([(0.0, 0.0, 25.0), (1.0, 0.0, nothing)], [(0.0, 0.0, 10.0), (1.0, pi, nothing)]):
         assert guard(*readings, (3.0, pi, nothing)).free_in(nearer, 0.0) > 200.0
     # Until the sonar measures something, or 4 s have passed.
     silent.add(3.5, nearer, 0.0, 60.0)
@@ -558,5 +558,17 @@ def test_end_of_a_wall_between_two_rays_is_remembered() -> None:
     # Behind it, beside it, and later nothing is there.
     assert rays.free_in(np.array((40.0, 0.0, 0.0)), 0.0) == pytest.approx(70.0 + N150.ring.radius_in - 11.22, abs=0.01)
     assert rays.free_of_spots_in(np.array((20.0, -5.0, 0.0)), 0.0) == np.inf
-    rays.add(20.0, np.array((20.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
+    rays.add(31.0, np.array((20.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
     assert rays.free_of_spots_in(place, 0.0) == np.inf
+
+
+def test_ray_at_the_lower_limit_ended_within_it() -> None:
+    rays, cones = SpeedGuard(N150, rays=True), SpeedGuard(N150)
+    for each in (rays, cones):
+        each.add(0.0, STAND, np.radians(30.0), N150.ring.min_range_in)
+    # Half of the 6 in counts: a spot 12.06 in from the axis, at 30 degrees.
+    away = N150.ring.radius_in + 3.0
+    reach = N150.radius_in + 1.5
+    before = away * cos(np.radians(30.0)) - (reach**2 - (away * sin(np.radians(30.0))) ** 2) ** 0.5
+    assert rays.free_of_spots_in(np.array((-5.0, 0.0, 0.0)), 0.0) == pytest.approx(5.0 + before - 1.5)
+    assert cones.free_of_spots_in(np.array((-5.0, 0.0, 0.0)), 0.0) == np.inf
