@@ -66,7 +66,7 @@ def test_runs_without_truth_have_gaps(run: Run) -> None:
 
 
 @pytest.mark.long
-def test_example_is_as_good_as_the_built_in_filter_on_the_same_drive() -> None:
+def test_example_is_as_good_as_the_built_in_filter() -> None:
     # Both filters get the same states of one drive, so that the comparison has no noise of its own.
     runs: dict[str, Run] = {name: Run([]) for name in ("ekf", OWN)}
     with connect("sim:thesis_room?noisy=1&seed=3&step_s=0.1") as robot:

@@ -206,7 +206,7 @@ def test_unknown_start_is_found_and_goal_reached(capsys: pytest.CaptureFixture[s
     assert result["rmse_position_in"] < 0.5
 
 
-def test_places_that_look_like_the_start_are_listed_beside_its_status(capsys: pytest.CaptureFixture[str]) -> None:
+def test_places_like_the_start_are_listed_beside_its_status(capsys: pytest.CaptureFixture[str]) -> None:
     """Between equal doors on either side of a corridor, with a deviation that covers no other."""
     robot = "sim:corridor?setup=measured&seed=1&start=787.4,39.4,0,0"
     start = ["--start", "787.4,39.4,0", "--start-std", "2,2,3", "--waypoints", "860,39", "--time-limit", "1"]
@@ -422,7 +422,7 @@ def test_the_origin_of_the_start_pose_is_stated(
 
 
 @pytest.mark.long
-def test_encoders_of_a_robot_that_drove_before_are_called_into_question(
+def test_encoders_of_a_robot_that_drove_before_are_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As of a robot that was not started by this command: its encoders may have drifted since.

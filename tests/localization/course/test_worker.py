@@ -25,7 +25,7 @@ def test_a_right_function_passes_and_a_missing_one_does_not(tmp_path: Path) -> N
     assert "no function random_error" in missing.text
 
 
-def test_the_first_error_of_a_submission_explains_what_is_missing(tmp_path: Path) -> None:
+def test_the_first_error_of_a_submission_is_explained(tmp_path: Path) -> None:
     cells = (IMPORTS, "SIZE = 1 / 0", "raise SystemExit(3)")
     values, error = grading.load(notebook(tmp_path / "bob.ipynb", *cells), LIMIT_S)
     assert "ZeroDivisionError" in error

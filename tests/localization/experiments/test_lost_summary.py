@@ -99,7 +99,7 @@ def test_two_right_hypotheses_are_one_outcome() -> None:
     assert brier_score([[(0.5, False), (0.3, False)]]) == pytest.approx(0.25 + 0.09 + 0.64)
 
 
-def test_standard_error_of_the_brier_score_is_that_of_repeated_experiments() -> None:
+def test_standard_error_of_the_brier_score_is_that_of_repeats() -> None:
     """Oracle: the scatter over 300 experiments of 60 runs, whose one to six instants are all right or all wrong."""
     rng = np.random.default_rng(5)
     excesses, stated_errors = [], []

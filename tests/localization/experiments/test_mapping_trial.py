@@ -62,7 +62,7 @@ def test_rigid_fit_finds_turn_and_shift() -> None:
     assert fit_error(PATH, 2.0 * PATH) > 1.0
 
 
-def test_closing_error_is_that_of_the_last_position_from_the_first_pose() -> None:
+def test_closing_error_is_the_last_position_from_the_first_pose() -> None:
     path = np.array([[0.0, 0.0, 0.5], [9.0, 9.0, 1.0], [30.0, 40.0, 2.0]])
     moved = np.column_stack((rotate(path[:, :2], np.full(3, 0.8)) + 7.0, path[:, 2] + 0.8))
     assert closing_error(moved, path) == pytest.approx(0.0, abs=1e-9)

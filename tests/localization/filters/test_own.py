@@ -46,7 +46,7 @@ def adapted() -> tuple[Recorder, OwnFilterAdapter]:
     return own, OwnFilterAdapter(own, CONFIG)
 
 
-def test_echoes_come_with_time_and_direction_after_the_prediction() -> None:
+def test_echoes_come_with_time_and_direction() -> None:
     own, to = adapted()
     poses = [(1.0, 0.0, 0.0, 0.0, 0.25), (2.0, 4.0, 0.0, 0.0, 0.25)]
     outcomes = to.process(poses[0], poses, [(1.5, 3, 40.0), (2.0, 0, 50.0), (2.0, 1, 255.0)])
@@ -59,7 +59,7 @@ def test_echoes_come_with_time_and_direction_after_the_prediction() -> None:
     assert [outcome[:3] for outcome in outcomes] == [(0, 0.5, 1.0), (0, 0.5, 1.0), (Refusal.LIMIT, 0.0, 0.0)]
 
 
-def test_estimate_after_the_last_echo_is_predicted_without_the_filter() -> None:
+def test_estimate_after_the_last_echo_is_predicted() -> None:
     own, to = adapted()
     ahead = to.predicted(10.0, 0.0, (0.5, 0.0))
     assert ahead.mean == pytest.approx([10.0 + 10.0 * np.cos(0.5), 20.0 + 10.0 * np.sin(0.5), 0.5])

@@ -224,7 +224,7 @@ def test_expected_information_is_a_lower_bound() -> None:
     np.testing.assert_allclose(_information(weights, np.zeros((4, 4))), 0.0, atol=1e-12)
 
 
-def test_moved_belief_keeps_its_covariance_and_follows_the_encoders() -> None:
+def test_moved_belief_keeps_its_covariance() -> None:
     belief = independent((10.0, 20.0, math.pi / 2), (0.5, 0.5, 0.02))
     there = moved(belief, np.zeros(3), np.array([3.0, 1.0, 0.5]))
     # Three inches ahead, one to the left, as seen from a robot that looks along y.
@@ -240,7 +240,7 @@ def feed(filter_: GlobalLocalizer, walls: Floats, pose: tuple[float, float, floa
         filter_.update(record.sonar, 0.0, record.reading_in)
 
 
-def test_a_wide_start_is_a_prior_of_the_search_and_never_sure_of_one_of_several() -> None:
+def test_a_wide_start_is_a_prior_and_not_sure_of_one_of_several() -> None:
     # The true place and the one a quarter turn on are both within the deviation.
     wide = finder(CONFIG, independent((60.0, 45.0, 0.9), (40.0, 40.0, 1.5)))
     assert wide.health.status is HealthStatus.LOST
@@ -251,7 +251,7 @@ def test_a_wide_start_is_a_prior_of_the_search_and_never_sure_of_one_of_several(
     assert len(wide.places) >= 2
 
 
-def test_poses_that_look_like_the_start_stay_beside_the_estimate_until_excluded() -> None:
+def test_poses_like_the_start_stay_until_they_are_excluded() -> None:
     truth = (40.0, 30.0, 0.2)
     twin, other = np.array([90.0, 40.0, 0.2 + math.pi / 2]), np.array([70.0, 60.0, 0.2])
     sure = finder(CONFIG, independent(truth, (0.2, 0.2, 0.01)), alike=[twin, other])

@@ -137,7 +137,7 @@ def test_work_of_an_update_is_bounded_after_a_late_answer() -> None:
 
 
 @pytest.mark.long
-def test_after_an_answer_later_than_the_history_the_search_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_begins_again_after_an_answer_that_is_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("localization.filters.global_localization.MAX_HISTORY", 48)
     searches: list[int] = []
 

@@ -100,7 +100,7 @@ def test_other_packets_are_refused(packet: tuple[int, ...]) -> None:
         robot.send_packet(packet[0], bytes(packet[1:]))
 
 
-def test_a_robot_without_the_packet_needs_a_ring_that_state_shows() -> None:
+def test_a_robot_without_the_packet_needs_a_ring_in_state() -> None:
     class Without:
         def watch_ring(self) -> None:
             from nclient.errors import RobotRefused

@@ -108,7 +108,7 @@ def test_line_that_goes_on_beyond_a_door_leaves_it_open(estimate: MapEstimate) -
     assert wall_distances(door[None], walls_and_posts(parted))[0] == pytest.approx(15.0)
 
 
-def test_robot_comes_back_through_a_door_that_the_map_has_too_narrow() -> None:
+def test_robot_comes_back_through_a_door_mapped_too_narrow() -> None:
     walls, pose = wall_with_gap(18.0), np.array((40.0, 30.0, 0.0))
     grid, explorer = grid_of(walls), Explorer(BODY_IN, 6.0, 300.0)
     (goal,) = grid.cells(np.array([[120.0, 50.0]]))
@@ -319,7 +319,7 @@ def test_robot_explores_a_room_without_contact(tmp_path: Path, capsys: pytest.Ca
     assert read_drive(tmp_path / "room.log").encoders[-1, 0] < 45.0
 
 
-def test_places_are_not_beside_walls_where_sonars_measure_nothing(estimate: MapEstimate) -> None:
+def test_places_are_not_where_sonars_measure_nothing(estimate: MapEstimate) -> None:
     explorer, finished = Explorer(BODY_IN, 6.0, 300.0), _Finished(estimate)
     grid = explorer._grid(finished, finished.poses[-1])
     reached = np.argwhere(grid.reached)

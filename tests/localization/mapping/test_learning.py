@@ -70,7 +70,7 @@ def test_rays_make_the_same_room_however_slanted(seed: int) -> None:
     assert not found.reason_to_refuse()
 
 
-def test_rays_to_another_wall_do_not_lengthen_one_whose_line_meets_it() -> None:
+def test_rays_to_another_wall_do_not_lengthen_one_in_its_line() -> None:
     found = learn_map(drive(0, rays=True), NOISE, ConeSonar(), rays=True)
     # 1. A wall that ends 10 in before the wall at x = 95, at the height where most rays fit both.
     number, extent = len(found.state.walls), np.array((-85.0, -70.0))
@@ -114,7 +114,7 @@ def test_paths_pass_a_line_where_no_spot_was_measured(estimate: MapEstimate) -> 
     assert is_blocked(starts, ends, estimate.blocking).all()
 
 
-def test_wall_far_from_the_origin_is_fitted_from_the_cell_of_its_peak() -> None:
+def test_wall_far_from_the_origin_is_fitted_from_its_peak() -> None:
     # Rays from 20 in before the wall x = 60, to its spots at y = 75 to 100, exactly.
     spots = np.linspace(75.0, 100.0, 30)
     faces = np.stack((np.full(30, 40.0), 0.8 * spots + 15.0), axis=-1)

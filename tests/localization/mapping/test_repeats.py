@@ -78,7 +78,7 @@ def test_slanted_rays_change_by_the_heading_as_rotated_ones() -> None:
     assert slanted > 3
 
 
-def test_ranges_that_are_too_short_count_no_more_than_those_too_long(estimate: MapEstimate) -> None:
+def test_too_short_ranges_count_no_more_than_too_long_ones(estimate: MapEstimate) -> None:
     rng, sonar = np.random.default_rng(2), ConeSonar(range_std_relative=0.05)
     trajectory = estimate.problem.trajectory
     echoes = estimate.echoes()

@@ -103,7 +103,7 @@ def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0])
-def test_an_edge_between_both_faces_of_a_wall_is_on_the_nearer_one(estimate: MapEstimate, turn: float) -> None:
+def test_an_edge_between_two_faces_is_on_the_nearer_one(estimate: MapEstimate, turn: float) -> None:
     # The faces x = 0, measured from x < 0, and x = 4.7, measured from x > 0, and points at x = 1 and 3.7 between both.
     walls, extents = np.array([(turn, 0.0), (turn, 4.7)]), np.array([(0.0, 100.0), (0.0, 100.0)])
     c, s = np.cos(turn), np.sin(turn)
@@ -172,7 +172,7 @@ def test_axes_of_a_building_are_those_that_cost_least(estimate: MapEstimate, see
     np.testing.assert_allclose(gradient, quotients, rtol=1e-3, atol=0.05 * np.abs(gradient).max())
 
 
-def test_right_angles_are_no_matter_of_plain_least_squares_or_one_wall(estimate: MapEstimate) -> None:
+def test_right_angles_count_only_with_priors_and_two_walls(estimate: MapEstimate) -> None:
     assert not len(estimate.problem.plain.angle_residuals(estimate.state, estimate.assignment)[0])
     alone = replace(estimate.state, walls=estimate.state.walls[:1])
     assert not len(estimate.problem.angle_residuals(alone, Assignment(np.zeros(9, dtype=np.intp)))[0])

@@ -74,7 +74,7 @@ def test_covariance_is_made_of_blocks_of_the_dense_inverse(poses: int) -> None:
     np.testing.assert_allclose(diagonal, [T[k, :, k] for k in range(poses)], rtol=1e-8, atol=1e-12)
 
 
-def test_border_unknowns_that_few_poses_measure_are_eliminated_like_all() -> None:
+def test_border_unknowns_of_few_poses_are_eliminated_like_all() -> None:
     equations, H, g = random_equations(80, 6, 5)
     equations.coupling[:40, :, :2] = equations.coupling[40:, :, 2:4] = 0.0
     C = equations.coupling.reshape(240, 6)

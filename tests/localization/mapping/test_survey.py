@@ -274,7 +274,7 @@ def test_bumper_hit_is_a_contact() -> None:
     assert min(robot.speeds) < 0.0
 
 
-def test_robot_that_begins_in_contact_backs_off_to_where_space_is() -> None:
+def test_robot_that_begins_in_contact_backs_off_to_space() -> None:
     def touching(number: int, state: RobotState) -> RobotState:
         raw = (*state.raw[:33], 1, *state.raw[34:])
         return RobotState(state.model, raw, clock_ms=state.clock_ms) if number < 40 else state

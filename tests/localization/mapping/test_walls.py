@@ -310,7 +310,7 @@ def test_outline_of_walls_measured_from_inside_is_no_box(estimate: MapEstimate) 
     ((4, 4, 0, 0), 1), ((4, 4, None, None), 0), ((4, 4, 4, None), 1),  # two and three silent sides
     ((2, 1, 1, 0), 1), ((1, 1, 1, 0), 0), ((2, 2, 2, None), 0),  # all four together; one has been crossed
 ])  # fmt: skip
-def test_corners_between_which_no_sound_passes_are_a_closed_outline(
+def test_corners_that_let_no_sound_pass_are_a_closed_outline(
     estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, stopped: tuple[int | None, ...], outlines: int
 ) -> None:
     found, pieces = boxed(estimate, 0)
@@ -393,7 +393,7 @@ def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -
     np.testing.assert_array_equal(lines[2:], state.walls[2:])
 
 
-def test_derivatives_of_the_line_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
+def test_derivatives_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
     found, h = with_surface(estimate, 4), 1e-6
     walls_of, levels = found.state.walls, found.state.levels
     _, by_unknowns = surface_lines(found)

@@ -63,7 +63,7 @@ def test_policy_drives_a_robot_in_this_process() -> None:
 
 
 @pytest.mark.long
-def test_policy_drives_a_robot_of_a_server_which_stands_afterwards() -> None:
+def test_policy_drives_a_robot_of_a_server_and_stops_it() -> None:
     with server() as port:
         drive(f"nserver://{port}/1")
         with connect(f"nserver://{port}/1") as robot:
