@@ -287,8 +287,9 @@ class PageWriter:
         return self._unsent > 0 and now - self._last_progress_s > STALLED_S
 
     async def send(self, text: str) -> None:
-        """Send a text message."""
-        await self._socket.send_str(text)
+        """Send a text message; nothing to a page that is closing, whose end the receiving task sees."""
+        with contextlib.suppress(ConnectionResetError):
+            await self._socket.send_str(text)
 
 
 class PageMessages(Job):

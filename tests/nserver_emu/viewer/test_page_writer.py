@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from aiohttp import web
+from aiohttp import ClientConnectionResetError, web
 from aiohttp.test_utils import make_mocked_request
 
 from nserver_emu.server.handlers.table import Emulator
@@ -58,6 +58,19 @@ async def test_messages_of_every_length_arrive() -> None:
             assert (await page.until(lambda message: message["type"] == "x"))["text"] == text
         here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": "äöü"}, ensure_ascii=False))
         assert (await page.until(lambda message: message["type"] == "x"))["text"] == "äöü"
+
+
+async def test_a_page_that_closes_while_it_is_sent_to_is_no_error() -> None:
+    sent = []
+
+    async def send_str(text: str) -> None:
+        # As aiohttp does between the end of the connection and that of the task that reads from it.
+        sent.append(text)
+        raise ClientConnectionResetError("Cannot write to closing transport")
+
+    socket = cast(web.WebSocketResponse, SimpleNamespace(closed=False, send_str=send_str))
+    await PageWriter(socket, Line(), 0.0).send("picture")
+    assert sent == ["picture"]
 
 
 def test_a_slow_page_is_skipped_and_not_closed() -> None:
