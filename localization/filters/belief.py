@@ -1,7 +1,8 @@
 """Gaussian beliefs over states, and the chi-square distribution of their squared errors.
 
 A state x (..., n), n >= 3, is x_in, y_in, heading_rad, then what a filter adds (a scale, an offset). Leading dimensions
-are seeds, hypotheses or particles. Headings wrap here only: states are added and subtracted by `add` and `difference`.
+are seeds, hypotheses or particles. States are added and subtracted by `add` and `difference`, which wrap the heading;
+the filter's two steps wrap it in `odometry.predict_state` and `update.shift`.
 
 The formulas of the filter (odometry, update, sonar_ray) are written once, element by element, on `Number`: a float for
 one live robot, an array for many robots at once. `unit_vector`, `sqrt`, `exp`, `hypot`, `atan2`, `clip`, `wrap_angle`

@@ -5,7 +5,7 @@
     method, model             echoes of a ring              predicts by               corrects by
     ekf, rays                 filter_ring                   predict_state    sonar_ray.update_by_ray
     ekf, cones                filter_ring                   predict_state    sonar_cone.update_by_cone
-    ekf, walls with levels    Filter.process                predict_state    update.pda_update, update.linear
+    ekf, walls with levels    Filter.process                predict_state    surface.SurfaceUpdate.apply, update.linear
     iekf                      Filter.process                predict_state    update.pda_update, update.iterated
     ukf                       Filter.process                ukf.predict_state         update.pda_update, ukf.unscented
     smoother                  Filter.process                predict_state    as ekf

@@ -44,7 +44,8 @@ State = list[float]
 Covariance = list[list[float]]
 
 OUTLIER_THRESHOLD: Final = 0.5
-"""A reading that is an outlier with more than this probability is reported as refused by the gate."""
+"""A reading that is an outlier with more than this probability is reported as refused by the gate. Where more than this
+fraction of the last readings were outliers, such a reading corrects all the same: the pose may be wrong, not they."""
 MIN_INFORMATION: Final = 1e-12
 """Information, as a fraction of the first reading's, that counts as none."""
 SAME_POSE_IN, SAME_POSE_RAD = 0.25, 0.005
@@ -61,7 +62,7 @@ class Refusal(IntEnum):
     """Reason why a reading is not used; the first that holds is reported.
 
     A cone's reading with GATE is taken for an outlier with more than half of its probability. It is used with the rest
-    only where most of the last readings are outliers, or in a building (`pda_update`).
+    only where most of the last readings are outliers (`pda_update`), or in a building (`SurfaceUpdate.apply`).
     """
 
     NONE = 0
@@ -194,7 +195,7 @@ class ReadingLimits(Protocol):
 
 
 class DirectModel(MeasurementModel):
-    """A model with an update of its own by the linear rule.
+    """A model whose `update` does the association and the linear correction of a reading in one function.
 
     Attributes
     ----------
@@ -306,7 +307,10 @@ def shift(x: State, K: Sequence[float], innovation: float) -> None:
 
 
 def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R: Number, innovation: Number) -> Number:
-    """Correct x and P by a scalar reading, in place; return its NIS.
+    """Correct x and P by a scalar reading, in place; return its NIS. A heading is not wrapped.
+
+    For the rings of `ekf.update_ring`; a filter that reads one echo at a time corrects by `pda_update`, which with a
+    single certain hypothesis is the same.
 
     References
     ----------
@@ -499,7 +503,7 @@ def pda_update(x: State, P: Covariance, reading_in: float, association: Associat
     dx = [0.0 for _ in x]
     for j, correction in enumerate(corrections):
         dx = [total + beta[j] * change for total, change in zip(dx, correction.dx)]  # noqa: B905  for numba
-    shift(x, dx, 1.0)
+    shift(x, dx, 1.0)  # gain and innovation are in dx
     # 5. P+ = P - sum_j beta_j K_j S_j K_j^T + sum_j beta_j (dx_j - dx) (dx_j - dx)^T: an outlier leaves x as it is.
     for j, correction in enumerate(corrections):
         add_outer(P, -beta[j] * correction.S, correction.K)
@@ -536,8 +540,8 @@ Used = list[list[float]] | Floats
 travel and turn so far, and the fraction of outliers among the last readings. Lists for plain Python, an array for
 compiled code."""
 TRAVEL, TURN, TURRET, COUNT = range(4)
-"""Columns: inches travelled and radians turned until this reading, the turret against the heading in radians, and the
-number of readings used from its pose."""
+"""Columns of a sonar's row, for the first reading that was used from its pose: inches travelled and radians turned
+until this reading, the turret against the heading in radians, and the number of readings used from its pose."""
 OUTLIERS: Final = 2
 """Column of the last row: the recent fraction of outliers."""
 OUTLIER_MEMORY: Final = 16.0

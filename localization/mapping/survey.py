@@ -3,7 +3,8 @@
     refresh --> mapper --> driver --> speed guard --> drive --> wait for the rest of the period, and again
 
 The drivers are `WaypointDriver` here and `Explorer` in explore.py; without one a person drives, and the loop only reads
-states. Nothing is known of a room at first, so the guard trusts readings. A wall of a sound map stops the robot, too.
+states. Nothing is known of a room at first, so the guard relies on readings. Where the map is sound, its walls stop the
+robot as well.
 """
 
 from __future__ import annotations
@@ -53,11 +54,12 @@ GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
 NEAR_S, NEAR_IN = 4.0, 24.0
 """The same of a reading of at most this length while its sonar measures nothing: the end of a wall that was measured
-may return no echo from nearer."""
+may return no echo from nearer. A single bad reading of a sonar that measures nothing is one of these."""
 REACTION_S: Final = 1.5
-"""The free distance ahead lasts this long at least: a turn of the ring, and braking."""
+"""The speed is such that the free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
-"""The robot stops by itself after this time without a command, within REACTION_S: solving the map may take longer."""
+"""Without a command the robot stops by itself after this time, which is within REACTION_S: solving the map may take
+longer."""
 GUARD_MARGIN_IN: Final = 1.5
 SPOT_S, SPOT_IN = 30.0, 20.0
 """Where a ray of at most this length ended something is for so long: ends of walls come to lie between two rays. One at
@@ -70,10 +72,14 @@ DEAD_ZONE_RAD: Final = radians(60.0)
 """A reading at the lower limit of 6 in may be anything from 0 to 6: nearer to the direction than this it blocks."""
 DRIVEN_ZONE_RAD: Final = radians(30.0)
 """The same where the robot comes from."""
-TRAIL_S, TRAIL_STEP_IN, TRAIL_IN = 30.0, 2.0, 0.7
-"""It comes from where it was within this time, if it was so near to the place that is a step ahead."""
-SAME_AXIS_RAD: Final = 0.05
-"""Readings of axes that differ by less are of one sonar."""
+TRAIL_STEP_IN, TRAIL_IN = 2.0, 0.7
+"""It comes from where it was on the trail, if it was so near to the place that is a step ahead."""
+TRAIL_POINT_IN, TRAIL_POINTS = 0.5, 120
+"""The trail: so many points at this distance at least, its last 60 in."""
+MOVED_IN, STOOD_IN = 3.0, 1.0
+"""What is nearer by the one, while the robot has moved by less than the other, has moved."""
+TOUCHED_IN: Final = 5.0
+"""So near to where it touched something nothing is free for having been driven."""
 BLIND_IN: Final = 8.0
 """Beside a wall nearer than sonars measure a leg goes on for this far: at up to 30 degrees off its direction the body
 comes 4 in nearer, of the 5.3 in that it has."""
@@ -97,11 +103,14 @@ NEAR_CONE_RAD: Final = radians(6.0)
 MIN_SPEED_IN_S: Final = 0.8
 """A slower speed counts as blocked."""
 BLOCKED_S: Final = 2.2
-"""A leg that is blocked for this long is given up: longer than GUARD_S, in which a bad reading blocks it."""
+"""A leg that is blocked for this long is given up: longer than GUARD_S, in which a bad reading blocks it. One of a
+sonar that measures nothing else blocks it for NEAR_S."""
 REVERSE_RAD: Final = radians(100.0)
 """A larger turn is saved by driving backwards: turns are what odometry measures worst."""
 BACK_OFF_IN, BACK_OFF_IN_S = 3.0, 2.0
 MAX_CONTACTS: Final = 3
+MAX_NOTES_OUTSIDE: Final = 3
+"""A robot that is outside of its geofence, after more notes than this, does not come back."""
 REACHED_IN: Final = 2.0
 NEAR_END_IN: Final = 1.0
 """Nearer to its end a leg is done."""
@@ -134,13 +143,26 @@ class _AcrossAxis(NamedTuple):
 
     clock_s: float
     axis_rad: float
-    distance_in: float
-    """From the origin."""
     reading_in: float
+    x_in: float
+    y_in: float
+    """The position of the robot's axis."""
+    distance_in: float
+    """Of the wall, from the origin."""
 
-    def is_of_sonar(self, axis_rad: float) -> bool:
-        """Return True for the axis of the same sonar: the turret stands."""
-        return abs(angle_difference(self.axis_rad, axis_rad)) < SAME_AXIS_RAD
+    def range_from(self, encoders: Floats) -> float:
+        """Return the distance (in) of the wall, along the axis of the sonar, from the axis of a robot at a pose."""
+        return self.distance_in - float(encoders[0] * cos(self.axis_rad) + encoders[1] * sin(self.axis_rad))
+
+
+class _Spot(NamedTuple):
+    """Where a near ray ended, in the frame of the encoders."""
+
+    clock_s: float
+    x_in: float
+    y_in: float
+    is_guessed: bool
+    """True if the reading was the lower limit, so that it ended somewhere up to that."""
 
 
 class SpeedGuard:
@@ -160,66 +182,94 @@ class SpeedGuard:
 
     def __init__(self, body: Body, *, rays: bool = False) -> None:
         self._rays = rays
-        self._spots: deque[tuple[float, float, float]] = deque()
         self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
         self._sonars, self._longest_in = body.ring.count, body.ring.max_range_in
+        # Readings of the last GUARD_S; near ones of the last NEAR_S whose sonar measures nothing any more.
         self._walls: deque[_AcrossAxis] = deque()
-        self._places: deque[Floats] = deque()
         self._near: list[_AcrossAxis] = []
-        self._trail: deque[tuple[float, float, float]] = deque()
+        self._spots: deque[_Spot] = deque()
+        # Where the robot was, and where it touched something, in the frame of the encoders.
+        self._trail: deque[Point] = deque(maxlen=TRAIL_POINTS)
+        self._touched: list[Point] = []
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
+        x, y = float(encoders[0]), float(encoders[1])
+        c, s = cos(axis_rad), sin(axis_rad)
+        # 1. Readings that are too old. The near ones of a sonar that is silent since are kept for longer.
+        while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
+            wall = self._walls.popleft()
+            if wall.reading_in <= NEAR_IN and self._is_silent(wall.axis_rad):
+                self._near.append(wall)
         has_echo = reading_in < self._longest_in
         self._near = [
             wall for wall in self._near
-            if wall.clock_s >= clock_s - NEAR_S and not (has_echo and wall.is_of_sonar(axis_rad))
+            if wall.clock_s >= clock_s - NEAR_S and not (has_echo and self._is_same_sonar(wall.axis_rad, axis_rad))
         ]  # fmt: skip
-        while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
-            wall = self._walls.popleft()
-            self._places.popleft()
-            if wall.reading_in <= NEAR_IN and self._is_silent(wall.axis_rad):
-                self._near.append(wall)
-        distance = float(encoders[0] * np.cos(axis_rad) + encoders[1] * np.sin(axis_rad)) + self._ring_in + reading_in
-        self._walls.append(_AcrossAxis(clock_s, axis_rad, distance, reading_in))
-        self._places.append(encoders[:2].copy())
-        while self._trail and self._trail[0][0] < clock_s - TRAIL_S:
-            self._trail.popleft()
-        self._trail.append((clock_s, float(encoders[0]), float(encoders[1])))
-        while self._spots and self._spots[0][0] < clock_s - SPOT_S:
+        # 2. The reading. Something that has come nearer by itself may be on the way back as well.
+        wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
+        if self._has_moved(wall):
+            self._trail.clear()
+        self._walls.append(wall)
+        # 3. Where the robot is, and where a ray ended.
+        if not self._trail or dist(self._trail[-1], (x, y)) >= TRAIL_POINT_IN:
+            self._trail.append((x, y))
+        while self._spots and self._spots[0].clock_s < clock_s - SPOT_S:
             self._spots.popleft()
         if self._rays and reading_in <= SPOT_IN:
-            away = self._ring_in + (reading_in if reading_in > self._shortest_in else 0.5 * self._shortest_in)
-            self._spots.append((clock_s, encoders[0] + away * cos(axis_rad), encoders[1] + away * sin(axis_rad)))
+            is_guessed = reading_in <= self._shortest_in
+            away = self._ring_in + (0.5 * self._shortest_in if is_guessed else reading_in)
+            self._spots.append(_Spot(clock_s, x + away * c, y + away * s, is_guessed))
+
+    def _is_same_sonar(self, one_rad: float, other_rad: float) -> bool:
+        """Return True if two axes are of one sonar, or of two of which the one looks now where the other did."""
+        return abs(angle_difference(one_rad, other_rad)) < pi / self._sonars
 
     def _is_silent(self, axis_rad: float) -> bool:
         """Return True if the sonar with this axis has fired in the last GUARD_S and measured nothing."""
-        readings = [wall.reading_in for wall in self._walls if wall.is_of_sonar(axis_rad)]
+        readings = [wall.reading_in for wall in self._walls if self._is_same_sonar(wall.axis_rad, axis_rad)]
         return bool(readings) and min(readings) >= self._longest_in
 
-    def on_contact(self) -> None:
-        """Forget where the robot was: what it touched is in the way there."""
+    def _has_moved(self, wall: _AcrossAxis) -> bool:
+        """Return True if a reading is at the lower limit, and the one before from the same place was clearly more."""
+        if wall.reading_in > self._shortest_in:
+            return False
+        for before in reversed(self._walls):
+            if self._is_same_sonar(before.axis_rad, wall.axis_rad):
+                is_here = hypot(before.x_in - wall.x_in, before.y_in - wall.y_in) < STOOD_IN
+                return is_here and self._shortest_in + MOVED_IN < before.reading_in < self._longest_in
+        return False
+
+    def on_contact(self, encoders: Floats) -> None:
+        """Forget where the robot was: what it touched at an encoder pose is in the way there."""
         self._trail.clear()
+        self._touched.append((float(encoders[0]), float(encoders[1])))
 
     def comes_from(self, encoders: Floats, direction_rad: float) -> bool:
-        """Return True if the robot was lately where a step in a direction leads from an encoder pose."""
-        x = float(encoders[0]) + TRAIL_STEP_IN * cos(direction_rad)
-        y = float(encoders[1]) + TRAIL_STEP_IN * sin(direction_rad)
-        return any(hypot(x - was_x, y - was_y) < TRAIL_IN for _, was_x, was_y in self._trail)
+        """Return True if a step in a direction leads back along the trail, and not to where it touched something."""
+        here = float(encoders[0]), float(encoders[1])
+        step = here[0] + TRAIL_STEP_IN * cos(direction_rad), here[1] + TRAIL_STEP_IN * sin(direction_rad)
+        if any(dist(step, touched) < min(TOUCHED_IN, dist(here, touched)) for touched in self._touched):
+            return False
+        return any(dist(step, was) < TRAIL_IN for was in self._trail)
 
     def is_complete(self, clock_s: float) -> bool:
         """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
         return sum(wall.clock_s >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
 
     def short_beams(self, encoders: Floats) -> Floats:
-        """Return x, y, axis and range (k, 4) of the short readings, from the sonar, in the frame of an encoder pose."""
+        """Return x, y, axis and range (k, 4) of readings, from the sonar, in the frame of an encoder pose.
+
+        Those that are short, or of something that is near by now.
+        """
+        limit_in = self._shortest_in + SHORT_IN
         found = [
-            (place[0] + self._ring_in * cos(wall.axis_rad), place[1] + self._ring_in * sin(wall.axis_rad),
+            (wall.x_in + self._ring_in * cos(wall.axis_rad), wall.y_in + self._ring_in * sin(wall.axis_rad),
              wall.axis_rad, wall.reading_in)
-            for wall, place in zip(self._walls, self._places, strict=True)
-            if wall.reading_in <= self._shortest_in + SHORT_IN
+            for wall in chain(self._near, self._walls)
+            if min(wall.reading_in, wall.range_from(encoders) - self._ring_in) <= limit_in
         ]
         beams = np.array(found).reshape(-1, 4)
         beams[:, :2] = rotate(beams[:, :2] - encoders[:2], np.full(len(beams), -float(encoders[2])))
@@ -230,7 +280,11 @@ class SpeedGuard:
         """Return how far the body may move from an encoder pose to the spots where near rays ended; inf without any."""
         nearest, c, s = inf, cos(direction_rad), sin(direction_rad)
         reach = self.body_in + SPOT_MARGIN_IN
-        for _, x, y in self._spots:
+        goes_back = self.comes_from(encoders, direction_rad)
+        for _, x, y, is_guessed in self._spots:
+            # The robot has just come past.
+            if goes_back and is_guessed:
+                continue
             off_x, off_y = x - float(encoders[0]), y - float(encoders[1])
             ahead, aside = off_x * c + off_y * s, abs(off_y * c - off_x * s)
             if ahead > 0.0 and aside < reach:
@@ -242,17 +296,16 @@ class SpeedGuard:
         nearest, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
         # Where the robot comes from it has space, unless something has moved straight into its way.
         zone = DRIVEN_ZONE_RAD if self.comes_from(encoders, direction_rad) else DEAD_ZONE_RAD
-        for _, axis, distance, reading in chain(self._near, self._walls):
-            off = max(abs(angle_difference(direction_rad, axis)) - HALF_CONE_RAD, 0.0)
+        for wall in chain(self._near, self._walls):
+            off = max(abs(angle_difference(direction_rad, wall.axis_rad)) - HALF_CONE_RAD, 0.0)
             if off > ASIDE_RAD:
                 continue
-            if reading <= self._shortest_in:
+            if wall.reading_in <= self._shortest_in:
                 if off < zone:
                     return 0.0
                 self.is_blind = True
                 continue
-            gap = distance - float(encoders[0] * np.cos(axis) + encoders[1] * np.sin(axis)) - self.body_in
-            nearest = min(nearest, (gap - GUARD_MARGIN_IN) / cos(off))
+            nearest = min(nearest, (wall.range_from(encoders) - self.body_in - GUARD_MARGIN_IN) / cos(off))
         return max(nearest, 0.0)
 
 
@@ -331,7 +384,7 @@ class _Leg:
         """Return the velocities at a pose (3,); None at the end."""
         while self._sections:
             if self._follower is None:
-                # A section is driven backwards rather than after a large turn.
+                # A section that would begin with a turn above REVERSE_RAD is driven backwards.
                 turn = angle_difference(float(pose[2]), self._sections[0].at(0.0).heading_rad)
                 self._back = pi if abs(turn) > REVERSE_RAD else 0.0
                 self._follower = PathFollower(self._sections[:1], self._limits, LEG_TURNED_RAD)
@@ -371,10 +424,10 @@ class _Motion:
     def __init__(self, driver: Driver, guard: SpeedGuard, limits: AxisLimits, fence: Geofence | None) -> None:
         self._driver, self._guard, self._limits, self._fence = driver, guard, limits, fence
         self._leg: _Leg | None = None
-        self._blocked_s = inf
+        self._blocked_since_s = inf
         self._speed_in_s = 0.0
         self._back_off: BackOff | None = None
-        self._blind_since: Floats | None = None
+        self._blind_from: Floats | None = None
         self.log = SurveyLog()
 
     def command(
@@ -383,7 +436,7 @@ class _Motion:
         """Return the velocities, or why the drive ends."""
         # 1. Contacts: back off, away from where it drove to.
         if is_touching and self._back_off is None:
-            self._guard.on_contact()
+            self._guard.on_contact(encoders)
             self.log.contacts.append((float(pose[0]), float(pose[1])))
             self.log.notes.append((elapsed_s, f"touched something at ({pose[0]:.1f}, {pose[1]:.1f})"))
             if len(self.log.contacts) >= MAX_CONTACTS:
@@ -409,7 +462,7 @@ class _Motion:
                 return "done"
             limits = self._limits.capped(self._driver.pace * self._limits.translation_in_s)
             self._leg = _Leg(pose, points, limits, mapper.walls, self._guard.body_in)
-            self._blocked_s = inf
+            self._blocked_since_s = inf
         command = self._leg.command(pose)
         if command is None:
             self._leg = None
@@ -429,7 +482,7 @@ class _Motion:
     @property
     def goal(self) -> Floats | None:
         """End (2,) of the leg; None without one, and while the guard or a contact keeps the robot from driving it."""
-        is_held = self._leg is None or self._back_off is not None or self._blocked_s < inf
+        is_held = self._leg is None or self._back_off is not None or self._blocked_since_s < inf
         return None if self._leg is None or is_held else self._leg.goal
 
     def _free_of_map_in(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> float:
@@ -485,11 +538,11 @@ class _Motion:
         allowed = free_in / REACTION_S
         # Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
         if not self._guard.is_blind:
-            self._blind_since = None
-        elif self._blind_since is None:
-            self._blind_since = encoders
-        if self._blind_since is not None:
-            x, y = (encoders - self._blind_since)[:2].tolist()
+            self._blind_from = None
+        elif self._blind_from is None:
+            self._blind_from = encoders
+        if self._blind_from is not None:
+            x, y = (encoders - self._blind_from)[:2].tolist()
             goes_on = x * cos(encoders[2] + back) + y * sin(encoders[2] + back) > 0.0
             allowed = 0.0 if goes_on and hypot(x, y) > BLIND_IN else min(allowed, BLIND_IN_S)
         if allowed < GAP_IN_S and self._fits(pose, encoders, float(pose[2]) + back, mapper):
@@ -503,17 +556,17 @@ class _Motion:
             ahead = REACTION_S * speed
             x, y = float(pose[0] + ahead * np.cos(pose[2])), float(pose[1] + ahead * np.sin(pose[2]))
             if not self._fence.contains(x, y):
-                if not self._fence.contains(float(pose[0]), float(pose[1])) and len(self.log.notes) > MAX_CONTACTS:
+                if not self._fence.contains(float(pose[0]), float(pose[1])) and len(self.log.notes) > MAX_NOTES_OUTSIDE:
                     return "outside of the geofence"
                 allowed = 0.0
         if allowed < min(MIN_SPEED_IN_S, abs(speed)):
-            self._blocked_s = min(self._blocked_s, elapsed_s)
-            if elapsed_s - self._blocked_s > BLOCKED_S:
+            self._blocked_since_s = min(self._blocked_since_s, elapsed_s)
+            if elapsed_s - self._blocked_since_s > BLOCKED_S:
                 where = f"({pose[0]:.1f}, {pose[1]:.1f}) in {degrees(pose[2] + back):.0f} deg"
                 self.log.notes.append((elapsed_s, f"blocked at {where}"))
                 self._give_up(pose, "blocked", back)
             return STAND
-        self._blocked_s = inf
+        self._blocked_since_s = inf
         fraction = min(1.0, allowed / abs(speed))
         self._speed_in_s = fraction * speed
         return VelocityCommand(fraction * speed, fraction * steering)

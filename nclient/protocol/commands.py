@@ -2,8 +2,9 @@
 
     a row   C name | Robot's method | type over TCP, type on the line | arguments | reply there and there | models
 
-A new command needs a row, a handler in nserver_emu/server/handlers and a method of Robot. `ALL` (models) means that the
-command exists on every model's serial line. Lengths are 1/10 inch and angles 1/10 degree, as on the wire.
+A new command needs a row, a handler in nserver_emu/server/handlers and a method of Robot; all steps are in
+docs/architecture.md, How to add. `ALL` (models) means that the command exists on every model's serial line. Lengths are
+1/10 inch and angles 1/10 degree, as on the wire.
 """
 
 from collections.abc import Iterable

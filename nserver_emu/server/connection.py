@@ -1,6 +1,7 @@
 """Connections to the server: bytes from a port, through a session, and back. All asyncio code of the request path.
 
-The path of a TCP request, file by file (the gateway only with `--real`):
+The path of a TCP request, file by file. With `--real`, `Gateway.answer` (nserver_emu/gateway) comes before step 4, and
+passes motions and readings of forwarded robots to the real one.
 
 1. `connection.py`                  `TcpConnection.buffer_updated`: bytes from the socket
 2. `session.py`                     `Session.receive`, `process_requests`: one reply per request, in order
@@ -12,9 +13,11 @@ The path of a TCP request, file by file (the gateway only with `--real`):
 The reply takes the reverse path: `ServerState.state_reply` reads the robot, `Session` encodes it with `codec.py`,
 `ConnectionHandler.send` passes it to the socket.
 
-Words: an *iteration* is one round of asyncio's event loop, which reads the sockets and then runs callbacks. A *turn* is
-the piece of work that one connection does at once: at most `MAX_BYTES_PER_TURN` bytes and `MAX_REQUESTS_PER_TURN`
-requests. An iteration has room for many turns.
+Words: *CONNECT* is a client's first request, in words of 32 or 64 bits. It gives a connection its *identity*: the robot
+and the width of its words. A connection whose first request is another one *continues* that of a connection from the
+same computer (`ClientRegistry`). An *iteration* is one round of asyncio's event loop, which reads the sockets and then
+runs callbacks. A *turn* is the piece of work that one connection does at once: at most `MAX_BYTES_PER_TURN` bytes and
+`MAX_REQUESTS_PER_TURN` requests. An iteration has room for many turns.
 
 Rule: a port is not read while its connection has requests left over, nor while the client does not read its replies, so
 that memory stays bounded.
@@ -23,8 +26,8 @@ Guarantee: an exception while bytes are received or a reply is prepared or made 
 
 Limit: a request is indivisible except for its preparation (`ServerState.prepare_reply`), which is spread over turns.
 
-Which connection has its turn when is decided by `FairScheduler`, at the end of this file. A connection uses two of its
-questions:
+Which connection has its turn when is decided by `FairScheduler`, at the end of this file. A connection uses three of
+its methods:
 
     bytes arrive -> may_run_now()?  yes -> take the turn at once, then charge() its cost
                                     no  -> submit(); the scheduler calls run_turn() in a later iteration
@@ -60,7 +63,8 @@ log = logging.getLogger(__name__)
 # Time that the turns of all connections together may take in one iteration. Between two iterations the loop polls its
 # sockets, which takes some 15 us: 5 % of this.
 ITERATION_BUDGET_S: Final = 0.0003
-# A loop that has waited so long had nothing else to do. The clocks of a turn that does not wait differ by 1 us.
+# Time by which the clock must have advanced more than the processor's since the last turn, for the loop to have waited:
+# then it has nothing else to do. Without a wait the two differ by 1 us.
 MIN_WAIT_S: Final = 0.00001
 # Seconds of unused rate that an idle client accumulates.
 BURST_S: Final = 0.1
@@ -70,9 +74,9 @@ READ_SIZE: Final = 4096
 # least that a turn can do: requests differ in cost by a factor of a hundred.
 MAX_BYTES_PER_TURN: Final = 512
 MAX_REQUESTS_PER_TURN: Final = 1
-# Steps of simulated time within which the work for one reply is spread over turns: each may bring new work, and at
-# unlimited speed there is one in each iteration. 16 of 10 ms: a ring among a thousand obstacles takes 16 turns of some
-# 2 ms.
+# The work for one reply is spread over turns until simulated time has advanced so often meanwhile: each step may bring
+# new work, and at unlimited speed there is one in each iteration. A ring among a thousand obstacles takes 16 turns of
+# some 2 ms.
 MAX_PREPARING_STEPS: Final = 16
 
 # Seconds to wait for the second half of a 64-bit CONNECT before it is read as a 32-bit CONNECT to robot 0.

@@ -8,7 +8,7 @@ last host closes its end. A host that opens the link immediately after another c
 hang-up, is not recognised as a new host.
 
 A host that sets another baud rate than the robot's gets nonsense, and the robot gets nothing of it, as on a cable. A
-change of the rate is noticed within 2 ms, less than a request and its reply take on a cable.
+change of the rate is noticed within 2 ms, less than a request and its reply take on a cable at usual rates.
 """
 
 import contextlib

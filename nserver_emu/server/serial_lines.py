@@ -120,6 +120,7 @@ class PtyConnection(ConnectionHandler):
         self.session = SerialSession(self._handler.answer, *self.robot, self._loop.time, name, wire_state)
         self._channel = None if self._new_channel is None else self._new_channel()
         self._has_faults = False
+        self._preparing_steps, self._prepared_ps = 0, -1
 
     def _on_opened(self) -> None:
         """Connect the host that has opened the link."""

@@ -239,7 +239,7 @@ def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.Mon
     assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
 
 
-def test_way_back_that_is_blocked_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
     monkeypatch.setattr(explorer, "_chosen_leg", lambda *_: [(30.0, 20.0)])
     driven = NoMap()

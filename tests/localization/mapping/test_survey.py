@@ -76,29 +76,79 @@ def test_near_wall_whose_echo_vanishes_is_remembered() -> None:
     assert silent.free_in(nearer, 0.0) > 200.0
 
 
-def test_robot_goes_back_along_a_wall_too_near_to_measure() -> None:
-    # It has come from x = -10 with a wall to the left that its oblique sonars show at the lower limit.
-    made = SpeedGuard(N150)
-    for step in range(21):
-        made.add(0.1 * step, np.array((-10.0 + 0.5 * step, 0.0, 0.0, 0.0)), np.radians(60.0 + step % 3 * 30.0), 6.0)
+def test_an_echo_replaces_what_is_remembered_at_once() -> None:
+    # The near reading grows too old in the same call in which its sonar measures 60 in.
+    nothing = N150.ring.max_range_in
+    made = guard((0.0, 0.0, 10.0), (1.0, 0.0, nothing), (2.5, 0.0, 60.0))
+    made.add(3.5, STAND, 0.0, 60.0)
+    assert made.free_in(STAND, 0.0) == pytest.approx(60.0 + N150.ring.radius_in - N150.radius_in - 1.5)
+
+
+def test_near_wall_is_remembered_while_the_ring_turns() -> None:
+    # A sonar that has turned by 10 degrees is the one that looks there now; one at 22.5 degrees is another.
+    nothing = N150.ring.max_range_in
+    for turned_deg, is_remembered in ((10.0, True), (22.5, False)):
+        made = guard((0.0, 0.0, 10.0), (1.0, np.radians(turned_deg), nothing), (2.5, pi, nothing))
+        assert (made.free_in(STAND, 0.0) < 20.0) is is_remembered
+
+
+def trail_to_here(from_in: float, *, rays: bool = False) -> SpeedGuard:
+    """Return a guard that has come along the x axis, with a wall to the left that it measures at the lower limit."""
+    made = SpeedGuard(N150, rays=rays)
+    for step, x in enumerate(np.arange(from_in, 0.25, 0.5)):
+        axis = np.radians(60.0 + step % 3 * 30.0)
+        made.add(0.1 * step, np.array((x, 0.0, 0.0, 0.0)), axis, N150.ring.min_range_in)
+    return made
+
+
+@pytest.mark.parametrize("rays", [False, True])
+def test_robot_goes_back_along_a_wall_too_near_to_measure(rays: bool) -> None:
+    made = trail_to_here(-10.0, rays=rays)
     assert made.free_in(STAND, 0.0) == 0.0
     assert made.free_in(STAND, pi) == np.inf
     assert made.is_blind
-    # Not where it has not been, where something is straight ahead, or on the way to what it has touched.
+    # Not where it has not been, or where something is straight ahead.
     assert made.free_in(np.array((-10.0, 0.0, 0.0)), pi) == 0.0
     made.add(2.1, STAND, np.radians(175.0), 6.0)
     assert made.free_in(STAND, pi) == 0.0
+
+
+def test_robot_goes_back_as_far_as_the_trail_reaches() -> None:
+    # 60 in, however long it has stood: points half an inch apart.
+    made = trail_to_here(-80.0)
+    for clock_s in range(20, 80):
+        made.add(float(clock_s), STAND, np.radians(130.0), 6.0)
+    for at_in, free in ((-50.0, np.inf), (-57.5, np.inf), (-58.5, 0.0)):
+        assert made.free_in(np.array((at_in, 0.0, 0.0)), pi) == free
+    # The end of a step of 2 in is at most 0.7 in beside it.
+    assert made.comes_from(STAND, pi + 0.3)
+    assert not made.comes_from(STAND, pi + 0.4)
+
+
+@pytest.mark.parametrize(("before_in", "at_in", "is_free"), [
+    (30.0, 0.0, False),  # it has come nearer while the robot stood
+    (9.5, 0.0, False),
+    (8.0, 0.0, True),  # noise
+    (30.0, -4.0, True),  # the robot has come nearer to it
+    (255.0, 0.0, True),  # there was no echo
+])  # fmt: skip
+def test_what_comes_beside_the_robot_keeps_it_from_going_back(before_in: float, at_in: float, is_free: bool) -> None:
+    made, axis = trail_to_here(-10.0), np.radians(-120.0)
+    made.add(3.0, np.array((at_in, 0.0, 0.0, 0.0)), axis, before_in)
+    made.add(4.0, STAND, axis, 6.0)
+    assert (made.free_in(STAND, pi) > 0.0) is is_free
+
+
+def test_robot_does_not_go_back_to_what_it_touched() -> None:
+    # It has touched something at x = -12, was pushed back by 3 in and goes on by 12 in beside something near.
     made = SpeedGuard(N150)
-    made.add(0.0, np.array((-2.0, 0.0, 0.0, 0.0)), 0.0, 90.0)
-    made.add(1.0, STAND, np.radians(130.0), 6.0)
-    assert made.free_in(STAND, pi) == np.inf
-    made.on_contact()
-    assert made.free_in(STAND, pi) == 0.0
-    # Where it was a minute ago something may be now.
-    made.add(2.0, np.array((-2.0, 0.0, 0.0, 0.0)), np.radians(130.0), 6.0)
-    assert made.free_in(STAND, pi) == np.inf
-    made.add(40.0, STAND, np.radians(130.0), 6.0)
-    assert made.free_in(STAND, pi) == 0.0
+    made.on_contact(np.array((-12.0, 0.0, 0.0)))
+    for step in range(25):
+        made.add(0.1 * step, np.array((-12.0 + 0.5 * step, 0.0, 0.0, 0.0)), np.radians(120.0), 6.0)
+    # Away from there, as far as it was, and back to within 5 in of it.
+    for x, direction, free in ((0.0, pi, np.inf), (-4.0, pi, np.inf), (-6.0, pi, 0.0), (-11.0, 0.0, np.inf)):
+        assert made.free_in(np.array((x, 0.0, 0.0)), direction) == free
+    assert made.comes_from(np.array((-11.0, 0.0, 0.0)), 0.0)
 
 
 def test_geofence_contains_its_inside() -> None:
@@ -485,6 +535,24 @@ def test_a_map_overrules_readings_only_that_it_explains(
     encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
     measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
     assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap(ahead_in))) is fits
+
+
+@pytest.mark.parametrize(("driven_in", "last_s", "fits"), [
+    (0.0, 1.0, True),  # 24 in to the right is far
+    (12.5, 1.0, False),  # now it is within 12 in, and the map does not have it
+    (12.5, 3.5, False),  # its echo has vanished
+    (12.5, 5.0, True),  # and longer ago than 4 s
+])  # fmt: skip
+def test_a_map_does_not_overrule_what_is_near_by_now(driven_in: float, last_s: float, fits: bool) -> None:
+    measured = SpeedGuard(N150)
+    motion = _Motion(WaypointDriver([]), measured, MODEL_LIMITS["n150"], None)
+    measured.add(0.0, STAND, -pi / 2.0, 24.0)
+    encoders = np.array((0.0, -driven_in, 0.0))
+    for clock_s in np.arange(0.5, last_s, 0.5):
+        measured.add(float(clock_s), encoders, -pi / 2.0, N150.ring.max_range_in)
+    mapper = SoundMap(60.0)
+    mapper.walls[:, [1, 3]] -= driven_in
+    assert motion._fits(encoders, encoders, 0.0, cast("LiveMapper", mapper)) is fits
 
 
 @pytest.mark.parametrize("aside_in", [0.0, -3.0, 7.0])
