@@ -279,9 +279,10 @@ class MapEstimate:
             if len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED:
                 sides[wall] = np.sign(signs.mean())
             if len(feet) > 3:
-                feet = np.clip(feet, *self._end_points(wall, feet[1], feet[-2]))
+                points = self._points_along(wall)
+                feet = np.clip(feet, *_end_points(points, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
-                runs.append(_runs(wall, feet[1:-1], passed[wall], self._radius_in))
+                runs.append(_runs(wall, feet[1:-1], points, passed[wall], self._radius_in))
             else:
                 extents[wall] = self.extents[wall]
                 runs.append(self.runs[self.runs[:, 0] == wall])
@@ -303,17 +304,11 @@ class MapEstimate:
             for off, row, crossed in zip(across, along, crosses, strict=True)
         ]
 
-    def _end_points(self, wall: int, low: float, high: float) -> tuple[float, float]:
-        """Return where points on the line of a wall end it, near the ends that its echoes show.
-
-        A cone that has the foot of the wall's line beyond its end measures the end, by the foot's distance squared over
-        twice the range more, which noise hides. Without this the wall would hide what is measured past its end.
-        """
+    def _points_along(self, wall: int) -> Floats:
+        """Return the sorted coordinates (k,) along a wall of the points on its line."""
         (angle, offset), points = self.state.walls[wall], self.state.points
         c, s = np.cos(angle), np.sin(angle)
-        along = (points @ (-s, c))[np.abs(points @ (c, s) - offset) < END_ASIDE_IN]
-        first, last = along[(along > low) & (along < low + END_IN)], along[(along < high) & (along > high - END_IN)]
-        return min(first.tolist(), default=low), max(last.tolist(), default=high)
+        return np.sort((points @ (-s, c))[np.abs(points @ (c, s) - offset) < END_ASIDE_IN])
 
     @property
     def blocking(self) -> Floats:
@@ -364,11 +359,27 @@ class MapEstimate:
         self._measure_levels()
 
 
-def _runs(wall: int, feet: Floats, passed: Floats, radius_in: float) -> Floats:
+def _end_points(points: Floats, low: float, high: float) -> tuple[float, float]:
+    """Return where points on the line of a wall end it, near the ends that its echoes show.
+
+    A cone that has the foot of the wall's line beyond its end measures the end, by the foot's distance squared over
+    twice the range more, which noise hides. Without this the wall would hide what is measured past its end.
+    """
+    first, last = points[(points > low) & (points < low + END_IN)], points[(points < high) & (points > high - END_IN)]
+    return min(first.tolist(), default=low), max(last.tolist(), default=high)
+
+
+def _runs(wall: int, feet: Floats, points: Floats, passed: Floats, radius_in: float) -> Floats:
     """Return the parts (r, 3) of a wall between spots (sorted) without a wide gap: wall, first, last coordinate.
 
-    Where the robot has passed it is open: a mistaken spot there is none.
+    Where the robot has passed it is open: a mistaken spot there is none. So it is between two points of its line, the
+    posts of a door, with hardly any spots but near to them: those may be echoes of the posts, as at its ends.
     """
+    is_door = (np.diff(points) > MIN_DOOR_IN) & (np.diff(points) < MAX_DOOR_IN)
+    for low, high in zip(points[:-1][is_door], points[1:][is_door], strict=True):
+        is_between = (feet > low) & (feet < high)
+        if (is_between & (feet > low + END_IN) & (feet < high - END_IN)).sum() < MIN_RUN_SPOTS:
+            feet = feet[~is_between]
     feet = feet[(np.abs(feet[:, None] - passed) > radius_in).all(axis=1)]
     is_passed = ((feet[:-1, None] < passed) & (passed < feet[1:, None])).any(axis=1)
     parts = np.split(feet, np.flatnonzero((np.diff(feet) > MAX_GAP_IN) | is_passed) + 1)

@@ -15,8 +15,9 @@ for each leg, from the map as it is.
     corner       last             5 in beside both walls of a corner: there ranges tell the offset of all sonars apart
                                   from the size of the room
 
-Worth is divided by the time to get there. Done when nothing is worth it any more; the last leg is straight, since a
-turn leaves the heading uncertain.
+Worth is divided by the time to get there; coverage and corners wait while there may be a room to enter. The path to a
+frontier goes on through it, slowly and as far as cones show it to be free. Done when nothing is worth it any more; the
+last leg is straight, since a turn leaves the heading uncertain.
 
 References
 ----------
@@ -37,7 +38,7 @@ from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.problem import NO_FEATURE, sensors_at
-from localization.mapping.survey import REVERSE_RAD, Geofence, Point
+from localization.mapping.survey import REVERSE_RAD, Geofence, Plan, Point
 from localization.mapping.walls import (
     ON_LINE_IN,
     POINT_ON_LINE_IN,
@@ -52,6 +53,7 @@ from localization.navigation.roadmap import segment_clearances
 from nclient.errors import install_command
 from worlds.geometry import crossings, nearest_points
 from worlds.map_files import MapsExtraMissing
+from worlds.raycast_arrays import cast_rays
 
 Mask = npt.NDArray[np.bool_]
 
@@ -128,10 +130,10 @@ TURN_RAD_S, TURN_BASE_IN = 0.5, 16.0
 MAX_TURNS_COMPARED: Final = 12
 SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
-WORTH: Final = {"frontier": 1.5, "end": 2.0, "span": 1.5, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
-MEASURING_PACE, DRIVEN_FRACTION = 2.0 / 3.0, 0.7
-"""Fraction of the top speed, but to frontiers before as much as can be unknown, and where so much of the path has been
-driven before."""
+WORTH: Final = {"frontier": 1.5, "end": 3.0, "span": 2.0, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
+MEASURING_PACE, DRIVEN_FRACTION, LONG_IN = 2.0 / 3.0, 0.7, 80.0
+"""Fraction of the top speed, but to frontiers before as much as can be unknown, where so much of the path has been
+driven before, and on paths longer than this."""
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
 SAME_FRONTIER_IN, STAY = 12.0, 1.5
 """Frontiers nearer to one another are one; that to which the robot is driving is worth so many times more, or it turns
@@ -142,6 +144,12 @@ SAME_GOAL_IN, MAX_LOOKS = 5.0, 2
 """A frontier is looked at from cells this near to one another so often: in a door it recedes as the robot proceeds."""
 SEEN_AT_ONCE: Final = 64
 """Cells that are tested at once for whether a frontier is in sight: mostly one of the nearest is."""
+ROOM_SIZE: Final = 1.2
+"""Size of a frontier behind which there may be a room."""
+CORNER_REST_IN, BESIDE_LINE_IN = 36.0, 0.01
+"""Walls probably go on to a corner that is this near."""
+ONWARD_IN: Final = 24.0
+"""The path to a frontier goes on behind it for this far, as long as sonars show it to be free."""
 MAX_SHORTENED: Final = 3
 """Frontiers that are left out at one decision, since something is before them."""
 BLOCKED_TRIES: Final = 2
@@ -256,11 +264,12 @@ class Explorer:
         self._before: Place | None = None
         self._clock_s = 0.0
         self._place: Place | None = None
-        self._is_blocked = self._is_undecided = self._is_stuck = self._is_driven = self._is_going_back = False
+        self._is_blocked = self._is_undecided = self._is_stuck = self._is_fast = self._is_going_back = False
         self._blocked_at: Point = inf, inf
         self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = False
+        self._optional_in = 0.0
         self._solution = _Solution()
         self.places: list[Place] = []
         """Places worth visiting at the last decision: what is open when the drive ends."""
@@ -269,8 +278,15 @@ class Explorer:
 
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
-    ) -> list[Point] | None:
+    ) -> Plan | None:
         """Return the next path."""
+        self._optional_in = 0.0
+        points = self._points(clock_s, pose, mapper, free_in)
+        return None if points is None else Plan(points, self._pace, self._optional_in, waits=False)
+
+    def _points(
+        self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
+    ) -> list[Point] | None:
         self._clock_s = clock_s
         path = None if self._is_last else self._free_path(clock_s, pose, mapper, free_in)
         was_blocked, self._is_blocked = self._is_blocked, False
@@ -281,16 +297,17 @@ class Explorer:
                 self._place = None
                 back = [] if self._is_going_back else self._way_back(pose, mapper.poses)
                 self._is_going_back = bool(back)
+                self._optional_in = 0.0
                 return back or self._free_leg(pose, free_in, ESCAPE_IN)
         self._is_going_back = False
         return path
 
     @property
-    def pace(self) -> float:
+    def _pace(self) -> float:
         """Fraction of the top speed for the leg: less where walls are to be measured, as short ones get few echoes."""
         place = self._place
         is_far = place is not None and place.kind == "frontier" and place.size == MAX_SIZE
-        return 1.0 if is_far or (place is not None and self._is_driven) else MEASURING_PACE
+        return 1.0 if is_far or (place is not None and self._is_fast) else MEASURING_PACE
 
     def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
         """Return a leg to where the robot was ESCAPE_IN ago: there is nothing on it; none at the beginning."""
@@ -314,6 +331,7 @@ class Explorer:
             free = free_in(float(np.arctan2(off[1], off[0])))
             if free > length:
                 break
+            self._optional_in = 0.0
             if free > HERE_IN:
                 x, y = (pose[:2] + free / length * off).tolist()
                 return [(x, y)]
@@ -325,6 +343,7 @@ class Explorer:
     def _chosen_leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
+        self._optional_in = 0.0
         # 1. At first where the sonars show the longest free distance, so that there is something to measure.
         if mapper.rounds < FIRST_ROUNDS:
             first = self._free_leg(pose, free_in, START_LEG_IN)
@@ -470,10 +489,11 @@ class Explorer:
             grid.free[at[:, 0], at[:, 1]] = True
 
     def _mark_echoes(self, grid: Grid, estimate: MapEstimate) -> None:
-        """Mark the cells at the ends of short echoes, explained or not: something is there that is not free."""
+        """Mark the cells at the ends of short echoes that the map does not explain: something is there."""
         state, trajectory = estimate.state, estimate.problem.trajectory
         echoes = estimate.echoes()
-        echoes = echoes[trajectory.readings_in[echoes] < NEAR_ECHO_IN]
+        is_open = estimate.assignment.feature[echoes] == NO_FEATURE
+        echoes = echoes[is_open & (trajectory.readings_in[echoes] < NEAR_ECHO_IN)]
         sensors = sensors_at(state.poses, state.parameters, trajectory, echoes)
         along = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
         at = grid.cells(sensors.face + sensors.range_in[:, None] * along)
@@ -595,10 +615,14 @@ class Explorer:
             worth = WORTH[place.kind] * place.size
             if self._is_for(place):
                 worth *= STAY
-            if np.hypot(*(goal - pose[:2])) < HERE_IN:
+            goes_on = place.kind == "frontier" and not mapper.rays
+            if np.hypot(*(goal - pose[:2])) < HERE_IN and not goes_on:
                 here = max(here, worth / seconds)
                 continue
             choices.append((worth / seconds, seconds, place, reached[number]))
+        # Cells without anything, and corners, wait while there may be a room to enter.
+        if any(place.kind == "frontier" and place.size >= ROOM_SIZE for _, _, place, _ in choices):
+            choices = [choice for choice in choices if choice[2].kind not in ("coverage", "corner")]
         # The best by distance, with the turn before the leg.
         for value, seconds, place, cell in sorted(choices, key=lambda choice: -choice[0])[:MAX_TURNS_COMPARED]:
             with_turn = value * seconds / (seconds + self._turn_seconds(grid, pose, cell))
@@ -611,8 +635,33 @@ class Explorer:
         path = self.path(grid, pose, chosen[1])
         samples = _dense(np.concatenate((pose[None, :2], path)))
         near = np.hypot(*(samples[:, None] - visited).transpose(2, 0, 1)).min(axis=1) < VISITED_IN
-        self._is_driven = bool(near.mean() > DRIVEN_FRACTION)
+        self._is_fast = bool(near.mean() > DRIVEN_FRACTION) or CELL_IN * len(samples) > LONG_IN
+        if self._place.kind == "frontier" and not mapper.rays:
+            onward, self._optional_in = self._onward(grid, path[-1], self._place)
+            path += onward
         return path
+
+    def _onward(self, grid: Grid, start: Point, frontier: Place) -> tuple[list[Point], float]:
+        """Return where the path to look at a frontier goes on, as far as walls of the map leave space, if it does.
+
+        And the length (in) of the part that is not known to be free.
+        """
+        off = np.array((frontier.x_in - start[0], frontier.y_in - start[1]))
+        length = float(np.hypot(*off))
+        steps = np.arange(1.0, (length + ONWARD_IN) / CELL_IN) * CELL_IN
+        points = start + steps[:, None] / length * off
+        if len(grid.walls):
+            has_space = wall_distances(points, grid.walls) > self._body_in + MARGIN_IN
+            points = points if has_space.all() else points[: has_space.argmin()]
+        if self._fence is not None:
+            inside = [self._fence.contains(*point) for point in points.tolist()]
+            points = points if all(inside) else points[: inside.index(False)]
+        if len(points) * CELL_IN <= HERE_IN:
+            return [], 0.0
+        cells = grid.cells(points)
+        is_known = grid.reached[cells[:, 0], cells[:, 1]]
+        known = len(points) if is_known.all() else int(is_known.argmin())
+        return [(float(points[-1, 0]), float(points[-1, 1]))], (len(points) - known) * CELL_IN
 
     def _cells_to_look_from(
         self, place: Place, tries: int, space: Floats, away: Floats, echo_in: Floats
@@ -705,6 +754,11 @@ class Explorer:
         open_cells = grid.free & (grid.space > WALL_SHADOW_IN)
         border = unknown & self._image.binary_dilation(open_cells)
         labels, count = self._image.label(border, structure=np.ones((3, 3)))
+        is_passable = unknown & (grid.space > self._body_in)
+        rests = rests_of_corners(self._solution.pieces)
+        if len(rests):
+            at = grid.cells(np.concatenate([_samples(row) for row in rests]))
+            is_passable[at[:, 0], at[:, 1]] = False
         found = []
         for number in range(1, count + 1):
             cells = np.argwhere(labels == number)
@@ -715,7 +769,10 @@ class Explorer:
             for part in np.array_split(cells[np.argsort(cells @ np.ptp(cells, axis=0))], parts):
                 centres = grid.centres(part)
                 middle = centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()]
-                behind = self._behind(unknown, grid.cells(middle[None])[0])
+                # Behind gaps that are too narrow for the robot there is nothing for it.
+                is_wide = is_passable[part[:, 0], part[:, 1]]
+                widest = part[grid.space[part[:, 0], part[:, 1]].argmax()]
+                behind = self._behind(is_passable, widest) if is_wide.any() else 0
                 found.append((*middle, np.clip(behind / BEHIND_CELLS, MIN_SIZE, MAX_SIZE)))
         return np.array(found).reshape(-1, 3)
 
@@ -898,6 +955,26 @@ def _span_places(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Pl
             x, y = ends.mean(axis=0) + side * np.array((-along[1], along[0]))
             found.append(Place("span", float(x), float(y)))
     return found
+
+
+def rests_of_corners(pieces: list[Piece]) -> Floats:
+    """Return the segments (n, 4) between open ends of walls and the walls or other such segments that they meet soon.
+
+    A wall probably goes on to the next corner.
+    """
+    opens = [(piece.ends[end], piece.ends[1 - end]) for piece in pieces for end in range(2) if not piece.closed[end]]
+    if not opens:
+        return np.zeros((0, 4))
+    starts, others = np.array(opens).transpose(1, 0, 2)
+    along = (starts - others) / np.maximum(np.hypot(*(starts - others).T), 1e-9)[:, None]
+    longest = np.concatenate((starts, starts + CORNER_REST_IN * along), axis=1)
+    walls = np.array([piece.ends.reshape(4) for piece in pieces])
+    # From a hair beside the line, or each would meet itself.
+    aside = BESIDE_LINE_IN * np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    distance, _ = cast_rays(starts + aside, along, np.concatenate((walls, longest)))
+    meets = distance < CORNER_REST_IN
+    ends = starts[meets] + distance[meets, None] * along[meets]
+    return np.concatenate((starts[meets], ends), axis=1)
 
 
 def _corner_places(pieces: list[Piece], space_in: float) -> list[Place]:

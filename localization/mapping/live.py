@@ -24,7 +24,7 @@ from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
-from localization.mapping.association import LAG_NODES, MapEstimate, align_heading, segments_of, track
+from localization.mapping.association import LAG_NODES, MapEstimate, align_heading, segments_of, sides_of, track
 from localization.mapping.consistency import is_consistent
 from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, reflection_of, revise, update_features
 from localization.mapping.measurements import (
@@ -139,6 +139,15 @@ class LiveMapper:
             return np.zeros((0, 4))
         return walls_and_posts(self.estimate)
 
+    def walls_facing(self, place: Floats) -> Floats:
+        """Return those (n, 4) of `walls` that were measured from the side on which a place (2,) is, and points.
+
+        Others may be the far faces of thick walls.
+        """
+        if self.estimate is None:
+            return np.zeros((0, 4))
+        return walls_and_posts(self.estimate, place)
+
     @property
     def is_sound(self) -> bool:
         """True if the robot may rely on the map to pass a gap: its readings and the odometry do not contradict it."""
@@ -250,16 +259,20 @@ class LiveMapper:
         return min(estimate, learner.estimate, key=lambda candidate: candidate.cost)
 
 
-def walls_and_posts(estimate: MapEstimate) -> Floats:
+def walls_and_posts(estimate: MapEstimate, place: Floats | None = None) -> Floats:
     """Return the parts (w, 4) of walls without wide gaps, and points as short ones.
 
     The line of a wall may go on beyond a door, which stays open. A wall of which no part is known is returned whole.
+    With a place (2,) only walls that were measured from its side.
     """
     walls, points = estimate.state.walls, estimate.state.points
     of_wall, half = estimate.runs[:, 0].astype(np.intp), np.array((POST_IN, 0.0))
-    whole = ~np.isin(np.arange(len(walls)), of_wall)
+    whole, runs = ~np.isin(np.arange(len(walls)), of_wall), estimate.runs
+    if place is not None and len(walls):
+        is_facing = sides_of(place[None], walls)[0] * estimate.sides >= 0.0
+        of_wall, runs, whole = of_wall[is_facing[of_wall]], runs[is_facing[of_wall]], whole & is_facing
     return np.concatenate((
-        segments_of(walls[of_wall], estimate.runs[:, 1:]),
+        segments_of(walls[of_wall], runs[:, 1:]),
         segments_of(walls[whole], estimate.extents[whole]),
         np.concatenate((points - half, points + half), axis=1).reshape(-1, 4),
     ))  # fmt: skip

@@ -112,6 +112,10 @@ MAX_CONTACTS: Final = 3
 MAX_NOTES_OUTSIDE: Final = 3
 """A robot that is outside of its geofence, after more notes than this, does not come back."""
 REACHED_IN: Final = 2.0
+OPTIONAL_FREE_IN, OPTIONAL_IN_S = 6.0, 5.0
+"""The optional end of a path is left out where less than the one is free ahead, and driven at this speed at most. An
+edge that returns no echo before it is 6 in from a sonar is measured within a turn of the ring: the robot drives 5 in
+meanwhile."""
 NEAR_END_IN: Final = 1.0
 """Nearer to its end a leg is done."""
 LEG_TURNED_RAD: Final = 0.12
@@ -193,6 +197,8 @@ class SpeedGuard:
         self._touched: list[Point] = []
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
+        self.is_certain = False
+        """True if two readings at least blocked the way, at the last question."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
@@ -293,7 +299,8 @@ class SpeedGuard:
 
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
-        nearest, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
+        spots_in, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
+        nearest = second = inf
         # Where the robot comes from it has space, unless something has moved straight into its way.
         zone = DRIVEN_ZONE_RAD if self.comes_from(encoders, direction_rad) else DEAD_ZONE_RAD
         for wall in chain(self._near, self._walls):
@@ -301,26 +308,35 @@ class SpeedGuard:
             if off > ASIDE_RAD:
                 continue
             if wall.reading_in <= self._shortest_in:
-                if off < zone:
-                    return 0.0
-                self.is_blind = True
-                continue
-            nearest = min(nearest, (wall.range_from(encoders) - self.body_in - GUARD_MARGIN_IN) / cos(off))
-        return max(nearest, 0.0)
+                self.is_blind |= off >= zone
+                free = 0.0 if off < zone else inf
+            else:
+                free = max(wall.range_from(encoders) - self.body_in - GUARD_MARGIN_IN, 0.0) / cos(off)
+            if free < second:
+                nearest, second = min(nearest, free), max(nearest, free)
+        self.is_certain = min(second, spots_in) < MIN_SPEED_IN_S * REACTION_S
+        return min(nearest, spots_in)
+
+
+class Plan(NamedTuple):
+    """A path to drive, and how."""
+
+    points: list[Point]
+    pace: float = 1.0
+    """Fraction of the top speed."""
+    optional_in: float = 0.0
+    """Length (in) of its end, of which nothing is known yet: driven slowly, as far as it turns out to be free."""
+    waits: bool = True
+    """False if the path is given up as soon as two readings block it; else after BLOCKED_S."""
 
 
 class Driver(Protocol):
-    """Choice of the next path. `leg` returns the points of the next path, None at the end."""
-
-    @property
-    def pace(self) -> float:
-        """Fraction of the top speed at which the path is driven."""
-        ...
+    """Choice of the next path. `leg` returns it, None at the end."""
 
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
-    ) -> list[Point] | None:
-        """Return the waypoints of the next path from a pose; None if there is nothing left to do.
+    ) -> Plan | None:
+        """Return the next path from a pose; None if there is nothing left to do.
 
         `free_in(direction_rad)` is the distance that sonars and map show to be free in a direction of the map.
         """
@@ -344,16 +360,11 @@ class WaypointDriver:
         """Waypoints to come."""
         return self._waypoints
 
-    @property
-    def pace(self) -> float:
-        """The top speed."""
-        return 1.0
-
     def leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]  # noqa: ARG002
-    ) -> list[Point] | None:
+    ) -> Plan | None:
         """Return the next waypoint."""
-        return [self._waypoints[0]] if self._waypoints else None
+        return Plan([self._waypoints[0]]) if self._waypoints else None
 
     def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:  # noqa: ARG002
         """Go on with the waypoint after it."""
@@ -365,11 +376,10 @@ class WaypointDriver:
 class _Leg:
     """A path with rounded corners, of sections that are driven forwards or backwards: the smaller turn before each."""
 
-    def __init__(
-        self, pose: Floats, points: Sequence[Point], limits: AxisLimits, walls: Floats, body_in: float
-    ) -> None:
+    def __init__(self, pose: Floats, plan: Plan, limits: AxisLimits, walls: Floats, body_in: float) -> None:
+        self.plan, limits = plan, limits.capped(plan.pace * limits.translation_in_s)
         corners = [(float(pose[0]), float(pose[1]))]
-        for point in points:
+        for point in plan.points:
             if dist(point, corners[-1]) > REACHED_IN / 2.0:
                 corners.append(point)
         self.goal: Floats = np.array(corners[-1])
@@ -457,11 +467,10 @@ class _Motion:
                 measured_in = self._guard.free_in(encoders, direction_rad + turned)
                 return min(measured_in, self._free_of_map_in(pose, direction_rad, mapper))
 
-            points = self._driver.leg(elapsed_s, pose, mapper, free_in)
-            if points is None:
+            plan = self._driver.leg(elapsed_s, pose, mapper, free_in)
+            if plan is None:
                 return "done"
-            limits = self._limits.capped(self._driver.pace * self._limits.translation_in_s)
-            self._leg = _Leg(pose, points, limits, mapper.walls, self._guard.body_in)
+            self._leg = _Leg(pose, plan, self._limits, mapper.walls, self._guard.body_in)
             self._blocked_since_s = inf
         command = self._leg.command(pose)
         if command is None:
@@ -505,17 +514,18 @@ class _Motion:
 
     def _fits(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
         """Return True if the map shows space ahead, and what is too near for the sonars."""
-        if not mapper.is_sound or not len(mapper.walls):
+        walls = mapper.walls_facing(pose[:2])
+        if not mapper.is_sound or not len(walls):
             return False
         along = np.array((cos(direction_rad), sin(direction_rad)))
-        places = pose[:2] + np.outer((0.0, *GAP_STEPS_IN), along)
-        here, *ahead = (wall_distances(places, mapper.walls) - self._guard.body_in).tolist()
-        if here >= KNOWN_IN or min(ahead) <= GAP_SPACE_IN:
+        ahead = pose[:2] + np.outer(GAP_STEPS_IN, along)
+        is_near = wall_distances(pose[None, :2], walls)[0] < self._guard.body_in + KNOWN_IN
+        if not is_near or wall_distances(ahead, mapper.walls).min() <= self._guard.body_in + GAP_SPACE_IN:
             return False
         # Each short reading must be of a wall of the map, not of one that it does not have yet.
         beams = self._guard.short_beams(encoders)
         faces = pose[:2] + rotate(beams[:, :2], np.full(len(beams), float(pose[2])))
-        nearest, distances = nearest_points(faces, mapper.walls)
+        nearest, distances = nearest_points(faces, walls)
         off = nearest - faces[:, None]
         aside = wrap_angle(np.arctan2(off[..., 1], off[..., 0]) - beams[:, 2:3] - float(pose[2]))
         explains = (np.abs(aside) < HALF_CONE_RAD + NEAR_CONE_RAD) & (distances < beams[:, 3:] + GUARD_MARGIN_IN)
@@ -535,7 +545,7 @@ class _Motion:
             return command
         back = pi if speed < 0.0 else 0.0
         free_in = self._guard.free_in(encoders, float(encoders[2]) + back)
-        allowed = free_in / REACTION_S
+        allowed, is_certain = free_in / REACTION_S, self._guard.is_certain
         # Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
         if not self._guard.is_blind:
             self._blind_from = None
@@ -550,7 +560,16 @@ class _Motion:
             of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
             allowed = min(GAP_IN_S, of_spots_in / REACTION_S)
         # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
-        allowed = min(allowed, self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S)
+        of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S
+        is_certain |= of_map < MIN_SPEED_IN_S
+        allowed = min(allowed, of_map)
+        assert self._leg is not None
+        plan, left_in = self._leg.plan, dist(self._leg.goal, pose[:2])
+        if left_in < plan.optional_in:
+            if allowed * REACTION_S < OPTIONAL_FREE_IN:
+                self._give_up(pose, "", back)
+                return STAND
+            allowed = min(allowed, OPTIONAL_IN_S)
         if self._fence is not None:
             # Where it would be after braking.
             ahead = REACTION_S * speed
@@ -561,7 +580,7 @@ class _Motion:
                 allowed = 0.0
         if allowed < min(MIN_SPEED_IN_S, abs(speed)):
             self._blocked_since_s = min(self._blocked_since_s, elapsed_s)
-            if elapsed_s - self._blocked_since_s > BLOCKED_S:
+            if elapsed_s - self._blocked_since_s > BLOCKED_S or (is_certain and not plan.waits):
                 where = f"({pose[0]:.1f}, {pose[1]:.1f}) in {degrees(pose[2] + back):.0f} deg"
                 self.log.notes.append((elapsed_s, f"blocked at {where}"))
                 self._give_up(pose, "blocked", back)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from localization.experiments import mapping
 from localization.experiments.mapping import (
@@ -32,8 +33,9 @@ from localization.mapping.measurements import rigid_fit, rotate
 from localization.mapping.output import LearnedMap, Quality, describe, draw_learned
 from localization.mapping.walls import Outline, Piece
 from tests.localization.mapping.drives import drive
+from worlds.geometry import lengths, nearest_points
 from worlds.io import load_world
-from worlds.robots import IDEAL_CALIBRATION
+from worlds.robots import IDEAL_CALIBRATION, N150
 
 TRIAL = Trial("thesis_room", "measured", 1)
 PATH = np.stack((np.linspace(0.0, 80.0, 50), np.linspace(10.0, 60.0, 50) + 5.0 * np.sin(np.linspace(0.0, 6.0, 50))), -1)
@@ -162,6 +164,29 @@ def test_table_counts_closed_loops_and_wrong_maps() -> None:
     assert rows["corridor: the others written"] == "1"
     assert rows["corridor: closing error, median, worst (in)"] == "7.00, 40.00"
     assert rows["corridor: that of the odometry (in)"] == "60.00, 90.00"
+
+
+def test_worlds_without_waypoints_are_explored_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        mapping.main(["--worlds", "thesis_room", "flat", "empty_flat", "--out", str(tmp_path)])
+    assert "flat and empty_flat have no waypoints: add --explore" in capsys.readouterr().err
+
+
+def test_rooms_of_the_empty_flat_are_connected_by_doors() -> None:
+    world = mapping.world_of("empty_flat")
+    cells = np.ones((118, 88), dtype=np.bool_)
+    centres = 4.0 * np.argwhere(cells) + 2.0
+    cells.flat[:] = nearest_points(centres, world.walls)[1].min(axis=1) > N150.radius_in
+    rooms, _ = label(cells)
+    # The start, the room on the loop, the corridor, and both rooms beyond it; with the doors closed they are not.
+    places = np.array([(63, 79), (350, 70), (240, 177), (100, 300), (370, 300)]) // 4
+    assert len(set(rooms[tuple(places.T)].tolist()) - {0}) == 1
+    doors = np.array([(157, 148, 195, 148), (315, 148, 352, 148), (79, 205, 116, 205), (374, 205, 411, 205),
+                      (234, 47, 234, 85)])  # fmt: skip
+    assert lengths(doors).tolist() == [38.0, 37.0, 37.0, 37.0, 38.0]
+    closed = np.concatenate((world.walls, doors))
+    cells.flat[:] = nearest_points(centres, closed)[1].min(axis=1) > N150.radius_in
+    assert len(set(label(cells)[0][tuple(places.T)].tolist())) == 5
 
 
 def test_results_of_earlier_runs_are_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

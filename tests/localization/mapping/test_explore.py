@@ -24,16 +24,24 @@ from localization.mapping.explore import (
     _first_in_sight,
     _unexplained_hits,
     pushed,
+    rests_of_corners,
 )
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.measurements import read_drive
 from localization.mapping.problem import NO_FEATURE, MapProblem
+from localization.mapping.survey import Geofence, Plan, Point
 from localization.mapping.walls import Piece
 from localization.navigation.path import wall_distances
 from localization.navigation.roadmap import segment_clearances
 from nclient.cli import main
 
 BODY_IN = 9.72
+
+
+def points_of(plan: Plan | None) -> list[Point]:
+    """Return the points of a path."""
+    assert plan is not None
+    return plan.points
 
 
 def wall_with_gap(width_in: float, at_in: float = 0.37) -> Floats:
@@ -192,7 +200,7 @@ def test_vertex_is_looked_at_from_where_the_robot_was_not(estimate: MapEstimate)
 class NoMap:
     """A mapper before its first solution."""
 
-    rounds, poses = 0, np.zeros((0, 3))
+    rounds, poses, rays = 0, np.zeros((0, 3)), False
 
 
 def test_what_exact_rays_hit_twice_is_an_obstacle(estimate: MapEstimate) -> None:
@@ -230,13 +238,13 @@ def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.Mon
         return 40.0 if np.cos(way - 2.75) > 0.99 else 0.0
 
     mapper = cast("LiveMapper", NoMap())
-    assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
+    assert points_of(explorer.leg(1.0, pose, mapper, free_in)) == [(30.0, 20.0)]
     explorer.end_leg(pose, "blocked", 0.0)
-    ((x, y),) = explorer.leg(1.0, pose, mapper, free_in) or []
+    ((x, y),) = points_of(explorer.leg(1.0, pose, mapper, free_in))
     np.testing.assert_allclose((x - 10.0, y - 20.0), 8.0 * np.array((np.cos(2.75), np.sin(2.75))), atol=0.1)
     # Once: whatever blocks then is the map's.
     explorer.end_leg(pose, "", 0.0)
-    assert explorer.leg(1.0, pose, mapper, free_in) == [(30.0, 20.0)]
+    assert points_of(explorer.leg(1.0, pose, mapper, free_in)) == [(30.0, 20.0)]
 
 
 def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,7 +256,8 @@ def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytes
     # Both ahead and back something is too near; only to the left there is space.
     found = []
     for _ in range(4):
-        found.append(explorer.leg(1.0, pose, mapper, lambda way: 40.0 if np.cos(way - np.pi / 2.0) > 0.99 else 0.0))
+        plan = explorer.leg(1.0, pose, mapper, lambda way: 40.0 if np.cos(way - np.pi / 2.0) > 0.99 else 0.0)
+        found.append(points_of(plan))
         explorer.end_leg(pose, "blocked", 0.0)
     first, back, aside, again = found
     assert (first, back, again) == ([(30.0, 20.0)], [(0.0, 20.0)], [(0.0, 20.0)])
@@ -260,6 +269,88 @@ def test_way_back_is_where_the_robot_was() -> None:
     poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (14.0, 0.0, 0.0), (14.0, 5.0, 1.5)])
     assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses) == [(10.0, 0.0)]
     assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses[2:]) == []
+
+
+def wall(one: Point, other: Point, *, closed: tuple[bool, bool] = (False, False)) -> Piece:
+    """Return a wall from one end to the other."""
+    return Piece(0, 0.0, 0.0, np.array((one, other)), list(closed), 0)
+
+
+def test_walls_probably_go_on_to_a_corner_that_is_near() -> None:
+    # Both walls of a corner at (80, 0) end before it, by 20 in.
+    lower, right = wall((0, 0), (60, 0), closed=(True, False)), wall((80, 20), (80, 90), closed=(False, True))
+    np.testing.assert_allclose(rests_of_corners([lower, right]), [(60, 0, 80, 0), (80, 20, 80, 0)], atol=0.02)
+    # At a wall that is there the other one ends.
+    there = wall((80, -9), (80, 90), closed=(True, True))
+    np.testing.assert_allclose(rests_of_corners([lower, there]), [(60, 0, 80, 0)], atol=0.02)
+    # Neither farther ends, nor those that are known, nor two parts of one line, between which a door may be.
+    assert not len(rests_of_corners([lower, wall((97, -9), (97, 90), closed=(True, True))]))
+    assert not len(rests_of_corners([wall((0, 0), (60, 0), closed=(True, True)), there]))
+    assert not len(rests_of_corners([lower, wall((90, 0), (150, 0), closed=(False, True))]))
+    assert not len(rests_of_corners([]))
+
+
+def frontier_grid(*others: tuple[float, ...]) -> tuple[Grid, Explorer]:
+    """Return a grid that is known below y = 40, where a wall has a door at x = 80, and unknown above."""
+    walls = np.array([(0.0, 40.0, 61.5, 40.0), (98.5, 40.0, 160.0, 40.0), *others])
+    grid, explorer = grid_of(walls), Explorer(BODY_IN, 6.0, 300.0)
+    grid.free[:, int(42 / CELL_IN) :] = False
+    return grid, explorer
+
+
+def test_what_is_behind_a_frontier_is_what_the_robot_can_get_to() -> None:
+    grid, explorer = frontier_grid()
+    ((x, y, open_size),) = explorer._frontiers(grid).tolist()
+    assert (x, y) == pytest.approx((80.0, 43.0), abs=2.0)
+    assert open_size > 0.9
+    # Not through a gap of 16 in, nor, if walls go on to their corner, through that corner.
+    narrow = (0.0, 60.0, 72.0, 60.0), (88.0, 60.0, 160.0, 60.0)
+    ((*_, size),) = frontier_grid(*narrow)[1]._frontiers(frontier_grid(*narrow)[0]).tolist()
+    assert size < 0.5 * open_size
+    grid, explorer = frontier_grid()
+    explorer._solution.pieces = [wall((98.5, 40.0), (98.5, 62.0)), wall((61.5, 80.0), (70.0, 80.0)),
+                                 wall((61.5, 40.0), (61.5, 80.0), closed=(True, True))]  # fmt: skip
+    ((*_, size),) = explorer._frontiers(grid).tolist()
+    assert size < open_size
+
+
+@pytest.mark.parametrize(("size", "chosen"), [(1.6, "frontier"), (0.5, "coverage")])
+@pytest.mark.parametrize("rays", [False, True])
+def test_cells_wait_while_there_may_be_a_room_to_enter(
+    monkeypatch: pytest.MonkeyPatch, size: float, chosen: str, rays: bool
+) -> None:
+    grid, explorer = frontier_grid()
+    pose, mapper = np.array((20.0, 15.0, 0.0)), NoMap()
+    mapper.poses, mapper.rays = pose[None], rays
+    explorer.find_reach(grid, pose)
+    grid.echo_in = np.full(grid.free.shape, np.inf)
+    places = [(Place("frontier", 80.0, 42.0, size), 44.0), (Place("coverage", 30.0, 15.0), 6.0)]
+    monkeypatch.setattr(explorer, "_candidates", lambda *_: places)
+    path = explorer._next_path(grid, cast("LiveMapper", mapper), pose)
+    assert explorer._place is not None
+    assert explorer._place.kind == chosen
+    # Cones go on through the frontier; exact rays leave gaps in what is not known yet.
+    assert path is not None
+    assert (path[-1][1] > 42.0) is (chosen == "frontier" and not rays)
+    assert (explorer._optional_in > 0.0) is (chosen == "frontier" and not rays)
+
+
+def test_path_goes_on_through_a_frontier_as_far_as_there_is_space() -> None:
+    grid, explorer = frontier_grid()
+    explorer.find_reach(grid, np.array((80.0, 10.0, 0.0)))
+    door = Place("frontier", 80.0, 42.0)
+    # From 22 in before the door to 24 in behind; the end of it is not known to be free.
+    ((x, y),), unknown_in = explorer._onward(grid, (80.0, 20.0), door)
+    assert x == pytest.approx(80.0)
+    assert 64.0 <= y <= 66.0
+    assert 66.0 - 40.0 < unknown_in < 66.0 - 26.0
+    # Not past a post, out of the fence, or where it would be no step.
+    ((x, y),), _ = explorer._onward(grid, (80.0, 20.0), Place("frontier", 99.0, 42.0))
+    assert np.hypot(x - 98.5, y - 40.0) > BODY_IN
+    fenced = Explorer(BODY_IN, 6.0, 300.0, Geofence((0.0, 0.0), (160.0, 50.0)))
+    ((_, y),), _ = fenced._onward(grid, (80.0, 20.0), door)
+    assert 48.0 <= y <= 50.0
+    assert fenced._onward(grid, (80.0, 48.0), Place("frontier", 80.0, 52.0)) == ([], 0.0)
 
 
 def test_exploration_goes_on_with_a_revised_map_before_it_ends(
@@ -276,7 +367,7 @@ def test_exploration_goes_on_with_a_revised_map_before_it_ends(
     found: list[list[tuple[float, float]] | None] = [None, [(5.0, 5.0)], None, None]
     monkeypatch.setattr(explorer, "_next_path", lambda *_: found.pop(0))
     explorer.end_leg(pose, "blocked", 0.0)
-    assert explorer.leg(100.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) == [(5.0, 5.0)]
+    assert points_of(explorer.leg(100.0, pose, cast("LiveMapper", mapper), lambda _: 9.0)) == [(5.0, 5.0)]
     assert (mapper.revisions, explorer.blocked) == (1, {})
     # The second time there is nothing left: the last leg, and the end.
     assert explorer.leg(110.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) is not None

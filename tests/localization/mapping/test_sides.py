@@ -12,6 +12,7 @@ from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
 from localization.mapping.consistency import compare_returns, late_scores
 from localization.mapping.learn import part_late_points, part_points
+from localization.mapping.live import walls_and_posts
 from localization.mapping.measurements import rotate
 from localization.mapping.problem import (
     NO_FEATURE,
@@ -43,6 +44,26 @@ def test_nothing_is_assigned_to_a_face_from_its_back(estimate: MapEstimate) -> N
     # Of a wall that was measured from both sides both count.
     turned.sides = 0.0 * estimate.sides
     np.testing.assert_array_equal(assign(turned, echoes)[0], assign(estimate, echoes)[0])
+
+
+def test_walls_that_face_a_place_were_measured_from_its_side(estimate: MapEstimate) -> None:
+    # The room has four walls; beyond the first one there is only its back.
+    inside = estimate.state.poses[0, :2]
+    np.testing.assert_array_equal(walls_and_posts(estimate, inside), walls_and_posts(estimate))
+    angle, offset = estimate.state.walls[0]
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    beyond = inside + 2.0 * (offset - normal @ inside) * normal
+    found, everything = walls_and_posts(estimate, beyond), walls_and_posts(estimate)
+    of_first = int((estimate.runs[:, 0] == 0).sum())
+    assert len(found) == len(everything) - of_first
+    assert of_first == 1
+    # Unless it was measured from both sides, or is not known in part.
+    both = estimate.copy()
+    both.sides = 0.0 * estimate.sides
+    np.testing.assert_array_equal(walls_and_posts(both, beyond), everything)
+    whole = estimate.copy()
+    whole.runs = estimate.runs[:0]
+    assert len(walls_and_posts(whole, beyond)) == len(walls_and_posts(whole, inside)) - 1
 
 
 def corners_of(
@@ -120,13 +141,33 @@ def test_an_edge_between_two_faces_is_on_the_nearer_one(estimate: MapEstimate, t
 
 def test_path_opens_the_wall_that_it_crosses() -> None:
     feet = np.linspace(0.0, 100.0, 101)
-    found = _runs(3, feet, np.array([50.0]), 9.0)
+    found = _runs(3, feet, np.zeros(0), np.array([50.0]), 9.0)
     np.testing.assert_allclose(found, [(3, 0.0, 40.0), (3, 60.0, 100.0)])
-    np.testing.assert_allclose(_runs(3, feet, np.zeros(0), 9.0), [(3, 0.0, 100.0)])
+    np.testing.assert_allclose(_runs(3, feet, np.zeros(0), np.zeros(0), 9.0), [(3, 0.0, 100.0)])
     # Also where the nearest spots are farther from it than the robot is wide.
     apart = np.concatenate((np.linspace(0.0, 40.0, 9), np.linspace(58.0, 100.0, 9)))
-    assert len(_runs(3, apart, np.array([50.0]), 5.0)) == 2
-    assert len(_runs(3, apart, np.zeros(0), 5.0)) == 1
+    assert len(_runs(3, apart, np.zeros(0), np.array([50.0]), 5.0)) == 2
+    assert len(_runs(3, apart, np.zeros(0), np.zeros(0), 5.0)) == 1
+
+
+@pytest.mark.parametrize(("middle", "is_open"), [
+    ([], True),
+    ([50.0, 51.0], True),  # two mistaken spots
+    ([45.0, 50.0, 55.0], False),
+])  # fmt: skip
+def test_spots_beside_the_posts_of_a_door_do_not_close_it(middle: list[float], is_open: bool) -> None:
+    # A door from 30 to 67 in; echoes of its posts were taken for the wall up to 8 in inside of it, 21 in apart.
+    feet = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(59.0, 100.0, 20), middle)))
+    nowhere = np.zeros(0)
+    found = _runs(3, feet, np.array([30.0, 67.0]), nowhere, 9.0)
+    assert (len(found) == 2) is is_open
+    if is_open:
+        assert found[0, 2] <= 30.0
+        assert found[1, 1] >= 67.0
+    # Posts farther apart than those of a door, or nearer than the robot is wide, open nothing.
+    narrow = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(48.0, 100.0, 20))))
+    assert len(_runs(3, narrow, np.array([35.0, 50.0]), nowhere, 9.0)) == 1
+    assert len(_runs(3, narrow, np.array([0.0, 100.0]), nowhere, 9.0)) == 1
 
 
 def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate) -> None:

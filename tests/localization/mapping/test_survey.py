@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from localization.cli.map_learn import recorded_address
+from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
-from localization.mapping.survey import Geofence, SpeedGuard, SurveyStep, WaypointDriver, _Leg, _Motion, survey
+from localization.mapping.survey import Geofence, Plan, SpeedGuard, SurveyStep, WaypointDriver, _Leg, _Motion, survey
 from localization.navigation.control_law import MODEL_LIMITS, VelocityCommand
 from nclient import Robot, connect
 from nclient.cli import main
@@ -279,7 +280,8 @@ def surveyed(
 
 def test_leg_drives_through_its_corners_and_ends_near_its_goal() -> None:
     nowhere, limits = np.zeros((0, 4)), MODEL_LIMITS["n150"].capped(6.0, 0.6)
-    leg = _Leg(np.zeros(3), [(30.0, 0.0), (50.0, 15.0)], limits, nowhere, N150.radius_in)
+    plan = Plan([(30.0, 0.0), (50.0, 15.0)])
+    leg = _Leg(np.zeros(3), plan, limits, nowhere, N150.radius_in)
     pose, slowest = np.zeros(3), 99.0
     while (command := leg.command(pose)) is not None:
         moved = 0.1 * command.translation_in_s
@@ -289,10 +291,10 @@ def test_leg_drives_through_its_corners_and_ends_near_its_goal() -> None:
     assert slowest > 2.0
     assert 0.25 < np.hypot(*(pose[:2] - (50.0, 15.0))) < 1.1
     # Not where an arc would lead past a wall: then it turns in place.
-    leg = _Leg(np.zeros(3), [(30.0, 0.0), (50.0, 15.0)], limits, np.array([(28.0, 10.5, 28.0, 20.0)]), N150.radius_in)
+    leg = _Leg(np.zeros(3), plan, limits, np.array([(28.0, 10.5, 28.0, 20.0)]), N150.radius_in)
     assert len(leg._sections) == 2
     # Nothing to drive.
-    assert _Leg(np.zeros(3), [(0.3, 0.0)], limits, nowhere, N150.radius_in).command(np.zeros(3)) is None
+    assert _Leg(np.zeros(3), Plan([(0.3, 0.0)]), limits, nowhere, N150.radius_in).command(np.zeros(3)) is None
 
 
 def test_drive_ends_when_the_clock_goes_back() -> None:
@@ -516,6 +518,10 @@ class SoundMap:
     def __init__(self, ahead_in: float) -> None:
         self.walls = np.array([[-60.0, 14.0, ahead_in, 14.0]])
         self.poses = np.zeros((1, 3))
+        self.is_facing = True
+
+    def walls_facing(self, place: Floats) -> Floats:  # noqa: ARG002
+        return self.walls if self.is_facing else np.zeros((0, 4))
 
 
 @pytest.mark.parametrize(("axis_rad", "reading_in", "ahead_in", "fits"), [
@@ -534,7 +540,11 @@ def test_a_map_overrules_readings_only_that_it_explains(
     # The encoders have another frame than the map: moved by (30, -20) and turned by 0.7 rad.
     encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
     measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
-    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", SoundMap(ahead_in))) is fits
+    mapper = SoundMap(ahead_in)
+    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", mapper)) is fits
+    # The back of a wall may be nearer than the face that was measured.
+    mapper.is_facing = False
+    assert not motion._fits(pose, encoders, 0.0, cast("LiveMapper", mapper))
 
 
 @pytest.mark.parametrize(("driven_in", "last_s", "fits"), [
@@ -605,6 +615,69 @@ def test_wall_too_near_to_measure_is_followed_for_8_in_in_all() -> None:
     assert [point for point, _ in driver.skipped] == [(11.0, 0.0)]
     assert 8.0 < max(path) < 8.4
     assert path[-1] < 2.1
+
+
+class OnePlan:
+    """A driver with one path."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan: Plan | None = plan
+        self.reason: str | None = None
+
+    def leg(self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]) -> Plan | None:
+        del clock_s, pose, mapper, free_in
+        plan, self.plan = self.plan, None
+        return plan
+
+    def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:
+        del pose, direction_rad
+        self.reason = reason
+
+
+def driven_with(plan: Plan, *readings: tuple[float, float]) -> tuple[str | None, list[tuple[float, float]]]:
+    """Return how a path along the x axis ends, and times and places, with readings of axis and range at its start."""
+    guard, driver = SpeedGuard(N150), OnePlan(plan)
+    motion = _Motion(driver, guard, MODEL_LIMITS["n150"].capped(9.0, 0.8), None)
+    mapper = SoundMap(0.0)
+    mapper.is_sound = False
+    pose, path = np.zeros(3), [(0.0, 0.0)]
+    for axis, reading in readings:
+        guard.add(0.0, STAND, axis, reading)
+    for step in range(1, 100):
+        command = motion.command(0.1 * step, False, pose, pose, cast("LiveMapper", mapper))
+        if driver.reason is not None:
+            break
+        assert isinstance(command, VelocityCommand)
+        pose = pose + np.array((0.1 * command.translation_in_s, 0.0, 0.0))
+        path.append((0.1 * step, float(pose[0])))
+    return driver.reason, path
+
+
+def test_optional_end_of_a_path_is_driven_slowly_as_far_as_it_is_free() -> None:
+    # A wall 30 in before the sonar leaves 27.84 in; 6 in before that the path ends.
+    reason, path = driven_with(Plan([(60.0, 0.0)], optional_in=45.0), (0.0, 30.0))
+    assert reason == ""
+    assert 30.0 + N150.ring.radius_in - N150.radius_in - 1.5 - 6.0 == pytest.approx(path[-1][1], abs=0.6)
+    speeds = np.diff(np.array(path), axis=0) @ (0.0, 10.0)
+    before = np.array(path)[:-1, 1] < 14.0
+    assert speeds[before].max() > 8.0
+    assert speeds[np.array(path)[:-1, 1] > 15.0].max() == pytest.approx(5.0)
+    # Without anything ahead it is driven to its end.
+    reason, path = driven_with(Plan([(25.0, 0.0)], optional_in=15.0))
+    assert reason == ""
+    assert path[-1][1] > 23.9
+
+
+@pytest.mark.parametrize(("readings", "waits", "gives_up_s"), [
+    ([(0.0, 6.0), (0.1, 6.0)], False, 0.1),  # two readings
+    ([(0.0, 6.0)], False, 2.4),  # one may be bad
+    ([(0.0, 6.0), (0.1, 6.0)], True, 2.4),  # somebody may go out of the way of a robot with waypoints
+])  # fmt: skip
+def test_blocked_path_is_given_up(readings: list[tuple[float, float]], waits: bool, gives_up_s: float) -> None:
+    reason, path = driven_with(Plan([(60.0, 0.0)], waits=waits), *readings)
+    assert reason == "blocked"
+    assert path[-1][1] == 0.0
+    assert path[-1][0] + 0.1 == pytest.approx(gives_up_s, abs=0.11)
 
 
 def test_end_of_a_wall_between_two_rays_is_remembered() -> None:
