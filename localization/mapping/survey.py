@@ -160,7 +160,7 @@ class _AcrossAxis(NamedTuple):
 
 
 class _Spot(NamedTuple):
-    """Where a near ray ended, in the frame of the encoders."""
+    """The end of a near ray, in the frame of the encoders."""
 
     clock_s: float
     x_in: float
@@ -198,7 +198,7 @@ class SpeedGuard:
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
         self.is_certain = False
-        """True if two readings at least blocked the way, at the last question."""
+        """True if two readings at least left no space ahead, at the last question."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
@@ -214,7 +214,7 @@ class SpeedGuard:
             wall for wall in self._near
             if wall.clock_s >= clock_s - NEAR_S and not (has_echo and self._is_same_sonar(wall.axis_rad, axis_rad))
         ]  # fmt: skip
-        # 2. The reading. Something that has come nearer by itself may be on the way back as well.
+        # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
         if self._has_moved(wall):
             self._trail.clear()
@@ -249,7 +249,7 @@ class SpeedGuard:
         return False
 
     def on_contact(self, encoders: Floats) -> None:
-        """Forget where the robot was: what it touched at an encoder pose is in the way there."""
+        """Forget where the robot was, and remember the encoder pose at which it touched something."""
         self._trail.clear()
         self._touched.append((float(encoders[0]), float(encoders[1])))
 
