@@ -55,6 +55,9 @@ GUARD_S: Final = 2.0
 NEAR_S, NEAR_IN = 4.0, 24.0
 """The same of a reading of at most this length while its sonar measures nothing: the end of a wall that was measured
 may return no echo from nearer. A single bad reading of a sonar that measures nothing is one of these."""
+CONFIRMED_S, CONFIRMED_IN, NEAR_BY_IN = 30.0, 2.0, 6.0
+"""The same of one with which the reading before it agrees within the second, while the robot is nearer to the place of
+the reading than the third: it may stand there, and turn."""
 REACTION_S: Final = 1.5
 """The speed is such that the free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
@@ -153,6 +156,8 @@ class _AcrossAxis(NamedTuple):
     """The position of the robot's axis."""
     distance_in: float
     """Of the wall, from the origin."""
+    is_confirmed: bool = False
+    """True if the reading before of the same sonar shows the wall at the same place."""
 
     def range_from(self, encoders: Floats) -> float:
         """Return the distance (in) of the wall, along the axis of the sonar, from the axis of a robot at a pose."""
@@ -212,12 +217,17 @@ class SpeedGuard:
         has_echo = reading_in < self._longest_in
         self._near = [
             wall for wall in self._near
-            if wall.clock_s >= clock_s - NEAR_S and not (has_echo and self._is_same_sonar(wall.axis_rad, axis_rad))
+            if self._is_remembered(wall, clock_s, (x, y))
+            and not (has_echo and self._is_same_sonar(wall.axis_rad, axis_rad))
         ]  # fmt: skip
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
-        if self._has_moved(wall):
-            self._trail.clear()
+        same_sonar = (before for before in reversed(self._walls) if self._is_same_sonar(before.axis_rad, axis_rad))
+        before = next(same_sonar, None)
+        if before is not None and before.reading_in < self._longest_in:
+            if self._has_moved(before, wall):
+                self._trail.clear()
+            wall = wall._replace(is_confirmed=abs(before.distance_in - wall.distance_in) < CONFIRMED_IN)
         self._walls.append(wall)
         # 3. Where the robot is, and where a ray ended.
         if not self._trail or dist(self._trail[-1], (x, y)) >= TRAIL_POINT_IN:
@@ -238,15 +248,15 @@ class SpeedGuard:
         readings = [wall.reading_in for wall in self._walls if self._is_same_sonar(wall.axis_rad, axis_rad)]
         return bool(readings) and min(readings) >= self._longest_in
 
-    def _has_moved(self, wall: _AcrossAxis) -> bool:
+    def _is_remembered(self, wall: _AcrossAxis, clock_s: float, place: Point) -> bool:
+        """Return True if a near wall whose sonar is silent still counts."""
+        is_here = wall.is_confirmed and dist(place, (wall.x_in, wall.y_in)) < NEAR_BY_IN
+        return wall.clock_s >= clock_s - (CONFIRMED_S if is_here else NEAR_S)
+
+    def _has_moved(self, before: _AcrossAxis, wall: _AcrossAxis) -> bool:
         """Return True if a reading is at the lower limit, and the one before from the same place was clearly more."""
-        if wall.reading_in > self._shortest_in:
-            return False
-        for before in reversed(self._walls):
-            if self._is_same_sonar(before.axis_rad, wall.axis_rad):
-                is_here = hypot(before.x_in - wall.x_in, before.y_in - wall.y_in) < STOOD_IN
-                return is_here and self._shortest_in + MOVED_IN < before.reading_in < self._longest_in
-        return False
+        is_here = hypot(before.x_in - wall.x_in, before.y_in - wall.y_in) < STOOD_IN
+        return is_here and wall.reading_in <= self._shortest_in < before.reading_in - MOVED_IN
 
     def on_contact(self, encoders: Floats) -> None:
         """Forget where the robot was, and remember the encoder pose at which it touched something."""

@@ -93,6 +93,28 @@ def test_near_wall_is_remembered_while_the_ring_turns() -> None:
         assert (made.free_in(STAND, 0.0) < 20.0) is is_remembered
 
 
+@pytest.mark.parametrize(("first_in", "moved_in", "after_s", "is_remembered"), [
+    (9.0, 0.0, 25.0, True),  # two readings agree, and the robot stands or turns
+    (9.0, 5.0, 25.0, True),
+    (9.0, 7.0, 25.0, False),  # it has gone
+    (9.0, 0.0, 31.0, False),
+    (20.0, 0.0, 25.0, False),  # one reading alone may be a bad one
+    (20.0, 0.0, 3.5, True),
+])  # fmt: skip
+def test_near_edge_that_two_readings_have_shown_is_remembered_here(
+    first_in: float, moved_in: float, after_s: float, is_remembered: bool
+) -> None:
+    # An edge ahead at 7 in, of which nothing returns any more; 2 in before the readings the robot was farther away.
+    nothing = N150.ring.max_range_in
+    made = SpeedGuard(N150)
+    made.add(0.0, np.array((-2.0, 0.0, 0.0, 0.0)), 0.0, first_in)
+    made.add(1.0, STAND, 0.0, 7.0)
+    place = np.array((0.0, moved_in, 0.0, 0.0))
+    for clock_s in np.arange(2.0, 1.0 + after_s, 0.5):
+        made.add(float(clock_s), place, 0.0, nothing)
+    assert (made.free_in(place, 0.0) < 5.0) is is_remembered
+
+
 def trail_to_here(from_in: float, *, rays: bool = False) -> SpeedGuard:
     """Return a guard that has come along the x axis, with a wall to the left that it measures at the lower limit."""
     made = SpeedGuard(N150, rays=rays)
