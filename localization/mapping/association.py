@@ -90,6 +90,8 @@ SIDED_ECHOES, SIDED = 4, 0.8
 at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is."""
 MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
 """Width of a door: the robot is 19 in wide."""
+MIN_STRIP_IN: Final = 8.0
+"""Width of the strip between what may be echoes of its posts in which a wall would have spots, and a door has none."""
 CORNER_IN, INNER_IN = 4.0, 6.0
 """A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
@@ -375,7 +377,7 @@ def _runs(wall: int, feet: Floats, points: Floats, passed: Floats, radius_in: fl
     Where the robot has passed it is open: a mistaken spot there is none. So it is between two points of its line, the
     posts of a door, with hardly any spots but near to them: those may be echoes of the posts, as at its ends.
     """
-    is_door = (np.diff(points) > MIN_DOOR_IN) & (np.diff(points) < MAX_DOOR_IN)
+    is_door = (np.diff(points) > 2.0 * END_IN + MIN_STRIP_IN) & (np.diff(points) < MAX_DOOR_IN)
     for low, high in zip(points[:-1][is_door], points[1:][is_door], strict=True):
         is_between = (feet > low) & (feet < high)
         if (is_between & (feet > low + END_IN) & (feet < high - END_IN)).sum() < MIN_RUN_SPOTS:

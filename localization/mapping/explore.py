@@ -7,9 +7,9 @@ within the circle about each pose that is as large as the shortest reading of a 
 for each leg, from the map as it is.
 
     place        worth            where
-    frontier     doors first      free cells beside unknown ones that no wall explains
-    open end     next             6 in beyond the end of a wall, 18 in in front of it
-    span         next             18 in before the middle of two points between which it is open whether there is a wall
+    frontier     much             free cells beside unknown ones that no wall explains, by how much is unknown
+    open end     much             6 in beyond the end of a wall, 18 in in front of it
+    span         much             18 in before the middle of two points between which it is open whether there is a wall
     vertex       then             around a point at which fewer than two walls end, where the robot has not looked from
     coverage     then             cells farther than 20 in from where the robot has been
     corner       last             5 in beside both walls of a corner: there ranges tell the offset of all sonars apart
@@ -358,8 +358,10 @@ class Explorer:
                 path = self._next_path(self._grid(mapper, pose), mapper, pose)
             if path is not None or self._revisions == MAX_REVISIONS:
                 break
-            # Nothing left to do: with the map revised, and without what has blocked legs, there may be.
+            # Nothing left to do: with the map revised, without what has blocked legs, and at frontiers before rooms
+            # that were tried, there may be.
             self._revisions += 1
+            self._tried = [place for place in self._tried if place.kind != "frontier" or place.size < ROOM_SIZE]
             mapper.revise()
             self._solution = _Solution()
             self.blocked.clear()
@@ -569,7 +571,7 @@ class Explorer:
 
     def _next_path(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> list[Point] | None:
         """Return the path to the best place; None if there is none."""
-        self.places = []
+        self.places, self._optional_in = [], 0.0
         best, chosen, here = 0.0, None, 0.0
         reached = np.argwhere(grid.reached)
         if not len(reached):
@@ -615,8 +617,8 @@ class Explorer:
             worth = WORTH[place.kind] * place.size
             if self._is_for(place):
                 worth *= STAY
-            goes_on = place.kind == "frontier" and not mapper.rays
-            if np.hypot(*(goal - pose[:2])) < HERE_IN and not goes_on:
+            is_here = np.hypot(*(goal - pose[:2])) < HERE_IN
+            if is_here and not (self._goes_on(place, mapper) and self._onward(grid, place.seen_from_in, place)[0]):
                 here = max(here, worth / seconds)
                 continue
             choices.append((worth / seconds, seconds, place, reached[number]))
@@ -636,10 +638,15 @@ class Explorer:
         samples = _dense(np.concatenate((pose[None, :2], path)))
         near = np.hypot(*(samples[:, None] - visited).transpose(2, 0, 1)).min(axis=1) < VISITED_IN
         self._is_fast = bool(near.mean() > DRIVEN_FRACTION) or CELL_IN * len(samples) > LONG_IN
-        if self._place.kind == "frontier" and not mapper.rays:
+        if self._goes_on(self._place, mapper):
             onward, self._optional_in = self._onward(grid, path[-1], self._place)
-            path += onward
+            is_here = len(path) == 1 and dist(path[0], pose[:2]) < HERE_IN
+            path = onward if onward and is_here else path + onward
         return path
+
+    def _goes_on(self, place: Place, mapper: LiveMapper) -> bool:
+        """Return True for a frontier through which the path goes on: exact rays leave gaps in what is unknown."""
+        return place.kind == "frontier" and not mapper.rays
 
     def _onward(self, grid: Grid, start: Point, frontier: Place) -> tuple[list[Point], float]:
         """Return where the path to look at a frontier goes on, as far as walls of the map leave space, if it does.
@@ -770,9 +777,10 @@ class Explorer:
                 centres = grid.centres(part)
                 middle = centres[np.hypot(*(centres - centres.mean(axis=0)).T).argmin()]
                 # Behind gaps that are too narrow for the robot there is nothing for it.
-                is_wide = is_passable[part[:, 0], part[:, 1]]
-                widest = part[grid.space[part[:, 0], part[:, 1]].argmax()]
-                behind = self._behind(is_passable, widest) if is_wide.any() else 0
+                wide = part[is_passable[part[:, 0], part[:, 1]]]
+                behind = 0
+                if len(wide):
+                    behind = self._behind(is_passable, wide[grid.space[wide[:, 0], wide[:, 1]].argmax()])
                 found.append((*middle, np.clip(behind / BEHIND_CELLS, MIN_SIZE, MAX_SIZE)))
         return np.array(found).reshape(-1, 3)
 

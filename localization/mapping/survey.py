@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
-from math import cos, degrees, dist, hypot, inf, pi, radians, sin
+from math import copysign, cos, degrees, dist, hypot, inf, pi, radians, sin
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -79,8 +79,8 @@ TRAIL_STEP_IN, TRAIL_IN = 2.0, 0.7
 """It comes from where it was on the trail, if it was so near to the place that is a step ahead."""
 TRAIL_POINT_IN, TRAIL_POINTS = 0.5, 120
 """The trail: so many points at this distance at least, its last 60 in."""
-MOVED_IN, STOOD_IN = 3.0, 1.0
-"""What is nearer by the one, while the robot has moved by less than the other, has moved."""
+MOVED_IN, STOOD_IN, STOOD_RAD = 3.0, 1.0, 0.05
+"""What is nearer by the first, while the sonar has moved and turned by less than the others, has moved."""
 TOUCHED_IN: Final = 5.0
 """So near to where it touched something nothing is free for having been driven."""
 BLIND_IN: Final = 8.0
@@ -115,10 +115,10 @@ MAX_CONTACTS: Final = 3
 MAX_NOTES_OUTSIDE: Final = 3
 """A robot that is outside of its geofence, after more notes than this, does not come back."""
 REACHED_IN: Final = 2.0
-OPTIONAL_FREE_IN, OPTIONAL_IN_S = 6.0, 5.0
+OPTIONAL_FREE_IN, OPTIONAL_IN_S = 6.0, 4.5
 """The optional end of a path is left out where less than the one is free ahead, and driven at this speed at most. An
-edge that returns no echo before it is 6 in from a sonar is measured within a turn of the ring: the robot drives 5 in
-meanwhile."""
+edge that returns no echo before it is 6 in from a sonar is 5.3 in from the body, and measured within a turn of the
+ring: meanwhile, and until it stands, the robot drives 5.3 in."""
 NEAR_END_IN: Final = 1.0
 """Nearer to its end a leg is done."""
 LEG_TURNED_RAD: Final = 0.12
@@ -202,8 +202,8 @@ class SpeedGuard:
         self._touched: list[Point] = []
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
-        self.is_certain = False
-        """True if two readings at least left no space ahead, at the last question."""
+        self.confirmed_in = inf
+        """The free distance at the last question without the reading that left least of it: that may be a bad one."""
 
     def add(self, clock_s: float, encoders: Floats, axis_rad: float, reading_in: float) -> None:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
@@ -227,7 +227,8 @@ class SpeedGuard:
         if before is not None and before.reading_in < self._longest_in:
             if self._has_moved(before, wall):
                 self._trail.clear()
-            wall = wall._replace(is_confirmed=abs(before.distance_in - wall.distance_in) < CONFIRMED_IN)
+            difference = before.range_from(encoders) - wall.range_from(encoders)
+            wall = wall._replace(is_confirmed=abs(difference) < CONFIRMED_IN)
         self._walls.append(wall)
         # 3. Where the robot is, and where a ray ended.
         if not self._trail or dist(self._trail[-1], (x, y)) >= TRAIL_POINT_IN:
@@ -256,6 +257,7 @@ class SpeedGuard:
     def _has_moved(self, before: _AcrossAxis, wall: _AcrossAxis) -> bool:
         """Return True if a reading is at the lower limit, and the one before from the same place was clearly more."""
         is_here = hypot(before.x_in - wall.x_in, before.y_in - wall.y_in) < STOOD_IN
+        is_here &= abs(angle_difference(before.axis_rad, wall.axis_rad)) < STOOD_RAD
         return is_here and wall.reading_in <= self._shortest_in < before.reading_in - MOVED_IN
 
     def on_contact(self, encoders: Floats) -> None:
@@ -324,7 +326,7 @@ class SpeedGuard:
                 free = max(wall.range_from(encoders) - self.body_in - GUARD_MARGIN_IN, 0.0) / cos(off)
             if free < second:
                 nearest, second = min(nearest, free), max(nearest, free)
-        self.is_certain = min(second, spots_in) < MIN_SPEED_IN_S * REACTION_S
+        self.confirmed_in = second
         return min(nearest, spots_in)
 
 
@@ -337,7 +339,7 @@ class Plan(NamedTuple):
     optional_in: float = 0.0
     """Length (in) of its end, of which nothing is known yet: driven slowly, as far as it turns out to be free."""
     waits: bool = True
-    """False if the path is given up as soon as two readings block it; else after BLOCKED_S."""
+    """False if the path is given up as soon as two readings, or the map, block it; else after BLOCKED_S."""
 
 
 class Driver(Protocol):
@@ -393,12 +395,23 @@ class _Leg:
             if dist(point, corners[-1]) > REACHED_IN / 2.0:
                 corners.append(point)
         self.goal: Floats = np.array(corners[-1])
+        self._corners = corners
         space_in = body_in + ROUNDED_SPACE_IN
         elements = round_corners(corners, ROUNDED_IN, limits, walls, space_in) if len(corners) > 1 else []
         self._sections = list(split_into_sections(elements))
         self._limits = limits
         self._follower: PathFollower | None = None
         self._back = 0.0
+
+    def is_optional(self, pose: Floats) -> bool:
+        """Return True on the optional part of the path, the end of its last straight line."""
+        if not self.plan.optional_in:
+            return False
+        back = np.array(self._corners[-2]) - self.goal
+        back /= max(float(np.hypot(*back)), 1e-9)
+        x, y = (pose[:2] - self.goal).tolist()
+        left_in, aside_in = x * back[0] + y * back[1], abs(x * back[1] - y * back[0])
+        return bool(left_in < self.plan.optional_in and aside_in < ROUNDED_IN)
 
     def command(self, pose: Floats) -> VelocityCommand | None:
         """Return the velocities at a pose (3,); None at the end."""
@@ -555,7 +568,7 @@ class _Motion:
             return command
         back = pi if speed < 0.0 else 0.0
         free_in = self._guard.free_in(encoders, float(encoders[2]) + back)
-        allowed, is_certain = free_in / REACTION_S, self._guard.is_certain
+        allowed, confirmed = free_in / REACTION_S, self._guard.confirmed_in / REACTION_S
         # Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
         if not self._guard.is_blind:
             self._blind_from = None
@@ -571,26 +584,26 @@ class _Motion:
             allowed = min(GAP_IN_S, of_spots_in / REACTION_S)
         # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
         of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S
-        is_certain |= of_map < MIN_SPEED_IN_S
-        allowed = min(allowed, of_map)
+        allowed, confirmed = min(allowed, of_map), min(confirmed, of_map)
         assert self._leg is not None
-        plan, left_in = self._leg.plan, dist(self._leg.goal, pose[:2])
-        if left_in < plan.optional_in:
-            if allowed * REACTION_S < OPTIONAL_FREE_IN:
-                self._give_up(pose, "", back)
-                return STAND
+        is_optional = self._leg.is_optional(pose)
+        if is_optional:
             allowed = min(allowed, OPTIONAL_IN_S)
         if self._fence is not None:
             # Where it would be after braking.
-            ahead = REACTION_S * speed
+            ahead = REACTION_S * copysign(min(abs(speed), allowed), speed)
             x, y = float(pose[0] + ahead * np.cos(pose[2])), float(pose[1] + ahead * np.sin(pose[2]))
             if not self._fence.contains(x, y):
                 if not self._fence.contains(float(pose[0]), float(pose[1])) and len(self.log.notes) > MAX_NOTES_OUTSIDE:
                     return "outside of the geofence"
-                allowed = 0.0
+                allowed = confirmed = 0.0
+        if is_optional and confirmed * REACTION_S < OPTIONAL_FREE_IN:
+            self._give_up(pose, "", back)
+            return STAND
         if allowed < min(MIN_SPEED_IN_S, abs(speed)):
             self._blocked_since_s = min(self._blocked_since_s, elapsed_s)
-            if elapsed_s - self._blocked_since_s > BLOCKED_S or (is_certain and not plan.waits):
+            is_certain = confirmed < MIN_SPEED_IN_S and not self._leg.plan.waits
+            if is_certain or elapsed_s - self._blocked_since_s > BLOCKED_S:
                 where = f"({pose[0]:.1f}, {pose[1]:.1f}) in {degrees(pose[2] + back):.0f} deg"
                 self.log.notes.append((elapsed_s, f"blocked at {where}"))
                 self._give_up(pose, "blocked", back)

@@ -307,11 +307,21 @@ def test_what_is_behind_a_frontier_is_what_the_robot_can_get_to() -> None:
     narrow = (0.0, 60.0, 72.0, 60.0), (88.0, 60.0, 160.0, 60.0)
     ((*_, size),) = frontier_grid(*narrow)[1]._frontiers(frontier_grid(*narrow)[0]).tolist()
     assert size < 0.5 * open_size
-    grid, explorer = frontier_grid()
-    explorer._solution.pieces = [wall((98.5, 40.0), (98.5, 62.0)), wall((61.5, 80.0), (70.0, 80.0)),
-                                 wall((61.5, 40.0), (61.5, 80.0), closed=(True, True))]  # fmt: skip
+    niche = [wall((61.5, 40.0), (61.5, 80.0), closed=(True, True)), wall((61.5, 80.0), (70.0, 80.0)),
+             wall((98.5, 40.0), (98.5, 62.0))]  # fmt: skip
+    grid, explorer = frontier_grid(*(tuple(piece.ends.ravel().tolist()) for piece in niche))
+    ((*_, with_corner),) = explorer._frontiers(grid).tolist()
+    explorer._solution.pieces = niche
     ((*_, size),) = explorer._frontiers(grid).tolist()
-    assert size < open_size
+    # 37 by 38 in without 9.7 in beside both walls, up to the line of the third.
+    assert size == pytest.approx(17.5 * 38.0 / 4.0 / 400.0, abs=0.04)
+    assert with_corner > size + 0.15
+    # Also where the widest cells of the frontier are on such a line.
+    grid, explorer = frontier_grid()
+    explorer._solution.pieces = [wall((80.0, 75.0), (80.0, 62.0), closed=(True, False)),
+                                 wall((61.5, 40.0), (98.5, 40.0), closed=(True, True))]  # fmt: skip
+    ((*_, size),) = explorer._frontiers(grid).tolist()
+    assert size <= open_size
 
 
 @pytest.mark.parametrize(("size", "chosen"), [(1.6, "frontier"), (0.5, "coverage")])

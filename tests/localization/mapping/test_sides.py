@@ -164,6 +164,9 @@ def test_spots_beside_the_posts_of_a_door_do_not_close_it(middle: list[float], i
     if is_open:
         assert found[0, 2] <= 30.0
         assert found[1, 1] >= 67.0
+    # Nor a pier of 21 in between two doors, whose spots are 3 in apart.
+    pier = np.arange(60.0, 82.0, 3.0)
+    np.testing.assert_allclose(_runs(3, pier, np.array([60.0, 81.0]), nowhere, 9.0), [(3, 60.0, 81.0)])
     # Posts farther apart than those of a door, or nearer than the robot is wide, open nothing.
     narrow = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(48.0, 100.0, 20))))
     assert len(_runs(3, narrow, np.array([35.0, 50.0]), nowhere, 9.0)) == 1

@@ -115,6 +115,20 @@ def test_near_edge_that_two_readings_have_shown_is_remembered_here(
     assert (made.free_in(place, 0.0) < 5.0) is is_remembered
 
 
+@pytest.mark.parametrize("x_in", [0.0, 200.0, -700.0])
+def test_near_edge_is_remembered_wherever_the_encoders_begin(x_in: float) -> None:
+    # Two readings of 7 in, between which the ring has turned by 0.1 rad.
+    place, nothing = np.array((x_in, 30.0, 0.0, 0.0)), N150.ring.max_range_in
+    made, other = SpeedGuard(N150), SpeedGuard(N150)
+    for each, first_in in ((made, 7.0), (other, 22.0)):
+        each.add(0.0, place, 0.0, first_in)
+        each.add(1.0, place, 0.1, 7.0)
+        for clock_s in range(2, 10):
+            each.add(float(clock_s), place, 0.1, nothing)
+    assert made.free_in(place, 0.0) < 5.0
+    assert other.free_in(place, 0.0) > 200.0
+
+
 def trail_to_here(from_in: float, *, rays: bool = False) -> SpeedGuard:
     """Return a guard that has come along the x axis, with a wall to the left that it measures at the lower limit."""
     made = SpeedGuard(N150, rays=rays)
@@ -155,11 +169,15 @@ def test_robot_goes_back_as_far_as_the_trail_reaches() -> None:
     (30.0, -4.0, True),  # the robot has come nearer to it
     (255.0, 0.0, True),  # there was no echo
 ])  # fmt: skip
-def test_what_comes_beside_the_robot_keeps_it_from_going_back(before_in: float, at_in: float, is_free: bool) -> None:
+@pytest.mark.parametrize("turned_rad", [0.0, 0.17])
+def test_what_comes_beside_the_robot_keeps_it_from_going_back(
+    before_in: float, at_in: float, is_free: bool, turned_rad: float
+) -> None:
     made, axis = trail_to_here(-10.0), np.radians(-120.0)
     made.add(3.0, np.array((at_in, 0.0, 0.0, 0.0)), axis, before_in)
-    made.add(4.0, STAND, axis, 6.0)
-    assert (made.free_in(STAND, pi) > 0.0) is is_free
+    made.add(4.0, STAND, axis + turned_rad, 6.0)
+    # A ring that has turned measures something else.
+    assert (made.free_in(STAND, pi) > 0.0) is (is_free or turned_rad > 0.0)
 
 
 def test_robot_does_not_go_back_to_what_it_touched() -> None:
@@ -656,10 +674,12 @@ class OnePlan:
         self.reason = reason
 
 
-def driven_with(plan: Plan, *readings: tuple[float, float]) -> tuple[str | None, list[tuple[float, float]]]:
+def driven_with(
+    plan: Plan, *readings: tuple[float, float], fence: Geofence | None = None
+) -> tuple[str | None, list[tuple[float, float]]]:
     """Return how a path along the x axis ends, and times and places, with readings of axis and range at its start."""
     guard, driver = SpeedGuard(N150), OnePlan(plan)
-    motion = _Motion(driver, guard, MODEL_LIMITS["n150"].capped(9.0, 0.8), None)
+    motion = _Motion(driver, guard, MODEL_LIMITS["n150"].capped(9.0, 0.8), fence)
     mapper = SoundMap(0.0)
     mapper.is_sound = False
     pose, path = np.zeros(3), [(0.0, 0.0)]
@@ -677,17 +697,33 @@ def driven_with(plan: Plan, *readings: tuple[float, float]) -> tuple[str | None,
 
 def test_optional_end_of_a_path_is_driven_slowly_as_far_as_it_is_free() -> None:
     # A wall 30 in before the sonar leaves 27.84 in; 6 in before that the path ends.
-    reason, path = driven_with(Plan([(60.0, 0.0)], optional_in=45.0), (0.0, 30.0))
+    reason, path = driven_with(Plan([(60.0, 0.0)], optional_in=45.0), (0.0, 30.0), (0.0, 30.0))
     assert reason == ""
     assert 30.0 + N150.ring.radius_in - N150.radius_in - 1.5 - 6.0 == pytest.approx(path[-1][1], abs=0.6)
     speeds = np.diff(np.array(path), axis=0) @ (0.0, 10.0)
     before = np.array(path)[:-1, 1] < 14.0
     assert speeds[before].max() > 8.0
-    assert speeds[np.array(path)[:-1, 1] > 15.0].max() == pytest.approx(5.0)
-    # Without anything ahead it is driven to its end.
+    assert speeds[np.array(path)[:-1, 1] > 15.0].max() == pytest.approx(4.5)
+    # Without anything ahead it is driven to its end; one reading may be a bad one.
     reason, path = driven_with(Plan([(25.0, 0.0)], optional_in=15.0))
     assert reason == ""
     assert path[-1][1] > 23.9
+    assert driven_with(Plan([(60.0, 0.0)], optional_in=45.0), (0.0, 30.0))[0] == "blocked"
+    # A path that comes back beside its optional end is not there yet.
+    leg = _Leg(np.zeros(3), Plan([(60.0, 0.0), (60.0, 30.0), (0.0, 30.0)], optional_in=40.0), MODEL_LIMITS["n150"],
+               np.zeros((0, 4)), N150.radius_in)  # fmt: skip
+    places = ((0.0, 0.0), (60.0, 30.0), (41.0, 30.0), (39.0, 30.5))
+    found = [leg.is_optional(np.array((*place, 0.0))) for place in places]
+    assert found == [False, False, False, True]
+
+
+def test_optional_end_of_a_path_ends_before_the_geofence() -> None:
+    fence = Geofence((-50.0, -50.0), (40.0, 50.0))
+    reason, path = driven_with(Plan([(39.0, 0.0)], optional_in=30.0), fence=fence)
+    assert reason == ""
+    # It may brake for 1.5 s at 4.5 in/s.
+    assert path[-1][1] == pytest.approx(40.0 - 1.5 * 4.5, abs=0.5)
+    assert driven_with(Plan([(60.0, 0.0)], waits=False), fence=fence)[0] == "blocked"
 
 
 @pytest.mark.parametrize(("readings", "waits", "gives_up_s"), [
