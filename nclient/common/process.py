@@ -4,7 +4,8 @@ Exit codes above 128 are 128 plus the number of the signal that ended the comman
 describes them, and scripts rely on their values.
 
 SIGTERM, and SIGHUP when the terminal is closed, raise `TerminatedBySignal` in the main thread, so that a command stops
-its robot and writes its report as after Ctrl-C. The first signal counts, later ones are ignored (Ctrl-C is not).
+its robot and writes its report as after Ctrl-C. The first signal counts, later ones are ignored (Ctrl-C is not). Python
+ignores exceptions in finalizers and weak references' callbacks: a signal that arrives in one is sent again.
 Signals that were ignored at the start, as SIGHUP under nohup, stay ignored.
 """
 
@@ -43,6 +44,8 @@ def in_short() -> str:
 
 
 _CODES = {"SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.HUNG_UP}
+RESEND_S: Final = 0.05
+"""A signal whose exception was ignored is sent again after this time."""
 _STANDARD_STREAMS = (0, 1, 2)
 _OUTPUTS = (1, 2)
 
@@ -85,12 +88,28 @@ def handle_termination_signals() -> Iterator[None]:
         _redirect_closed_terminals(terminals)
         raise TerminatedBySignal(signal.Signals(number).name)
 
+    def install() -> None:
+        for number in handled:
+            signal.signal(number, terminate)
+
+    def resend(unraisable: "sys.UnraisableHookArgs") -> None:
+        if not isinstance(unraisable.exc_value, TerminatedBySignal):
+            hook_before(unraisable)
+            return
+        install()
+        number = getattr(signal, unraisable.exc_value.signal_name)
+        # Not from here, where the exception would be ignored again.
+        again = threading.Timer(RESEND_S, os.kill, (os.getpid(), number))
+        again.daemon = True
+        again.start()
+
     # 2. Install the handler for the duration of the block.
-    for number in handled:
-        signal.signal(number, terminate)
+    hook_before, sys.unraisablehook = sys.unraisablehook, resend
+    install()
     try:
         yield
     finally:
+        sys.unraisablehook = hook_before
         for number in handled:
             signal.signal(number, before[number])
 

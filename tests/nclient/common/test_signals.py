@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import signal
+import sys
 import threading
 
 import pytest
@@ -45,6 +46,48 @@ def test_a_second_signal_does_not_disturb_the_leaving() -> None:
     with pytest.raises(TerminatedBySignal) as first:
         driving()
     assert (first.value.signal_name, left) == ("SIGTERM", ["in order"])
+
+
+class SignalledWhenDeleted:
+    """An object during whose finalizer a signal arrives."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_in_a_finalizer_is_not_lost() -> None:
+    before = sys.unraisablehook
+    left = []
+
+    @handle_termination_signals()
+    def driving() -> None:
+        try:
+            SignalledWhenDeleted()
+            # Python ignores exceptions of finalizers.
+            left.append("after it")
+            threading.Event().wait(20.0)
+        finally:
+            # From the second one on signals are ignored, as always.
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(TerminatedBySignal):
+        driving()
+    assert left == ["after it"]
+    assert sys.unraisablehook is before
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_other_errors_in_finalizers_are_reported_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[BaseException | None] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda unraisable: found.append(unraisable.exc_value))
+
+    class Broken:
+        def __del__(self) -> None:
+            raise ValueError("broken")
+
+    with handle_termination_signals():
+        Broken()
+    assert [str(error) for error in found] == ["broken"]
 
 
 def test_what_nohup_ignores_stays_ignored() -> None:
