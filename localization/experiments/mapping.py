@@ -101,7 +101,7 @@ BOX_ROOM: Final = World(
     starts=(StartPose(22.0, 24.0),),
 )  # fmt: skip
 """142 by 114 in; boxes of 12 by 12 and, askew, of 19 by 14 in; a post of 2 by 2 in."""
-CABINET_FLAT: Final = World(
+EMPTY_FLAT_WORLD: Final = World(
     EMPTY_FLAT, "A corridor and four rooms",
     rooms=(Polygon(((0.0, 0.0), (472.0, 0.0), (472.0, 354.0), (0.0, 354.0))),),
     obstacles=(
@@ -119,7 +119,7 @@ CABINET_FLAT: Final = World(
     starts=(StartPose(63.0, 79.0),),
 )  # fmt: skip
 """12 by 9 m without furniture but a cabinet askew; walls 5 in thick, doors of 37 and 38 in, two rooms on a loop."""
-OWN_WORLDS: Final = {BOXES: BOX_ROOM, EMPTY_FLAT: CABINET_FLAT}
+OWN_WORLDS: Final = {BOXES: BOX_ROOM, EMPTY_FLAT: EMPTY_FLAT_WORLD}
 MIN_BOX_IN: Final = 6.0
 """Shortest side of an obstacle whose outline a map should have; others are posts."""
 EXPLORE_IN_S, EXPLORE_RAD_S = 9.0, 0.8

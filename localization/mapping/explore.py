@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import dist, hypot, inf
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -211,6 +211,34 @@ class Grid:
         return np.isfinite(self.cost)
 
 
+class _ReachedCells:
+    """The cells (n, 2) of a grid that the robot can reach, numbered, and what is known of each."""
+
+    def __init__(self, grid: Grid, reached: npt.NDArray[np.intp]) -> None:
+        at = reached[:, 0], reached[:, 1]
+        self.centres, self.costs = grid.centres(reached), grid.cost[at]
+        self.space, self.echo_in = grid.space[at], grid.echo_in[at]
+        self._numbers = np.full(grid.free.shape, -1, dtype=np.intp)
+        self._numbers[at] = np.arange(len(reached))
+
+    def about(self, grid: Grid, centre: Floats, radius_in: float) -> tuple[npt.NDArray[np.intp], Floats]:
+        """Return the numbers (k,) of the cells within a radius of a point (2,), and their distances (k,) from it."""
+        rows = self._numbers[grid.square(centre, radius_in)].ravel()
+        rows = rows[rows >= 0]
+        away = np.hypot(*(self.centres[rows] - centre).T)
+        is_within = away < radius_in
+        return rows[is_within], away[is_within]
+
+
+class _Choice(NamedTuple):
+    """A place to drive to: what it is worth, the time to get there, and the cell (2,) from which it is looked at."""
+
+    place: Place
+    worth: float
+    seconds: float
+    cell: npt.NDArray[np.intp]
+
+
 class _Finished:
     """A finished map, as far as the grid needs one."""
 
@@ -343,7 +371,6 @@ class Explorer:
     def _chosen_leg(
         self, clock_s: float, pose: Floats, mapper: LiveMapper, free_in: Callable[[float], float]
     ) -> list[Point] | None:
-        self._optional_in = 0.0
         # 1. At first where the sonars show the longest free distance, so that there is something to measure.
         if mapper.rounds < FIRST_ROUNDS:
             first = self._free_leg(pose, free_in, START_LEG_IN)
@@ -572,77 +599,80 @@ class Explorer:
     def _next_path(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> list[Point] | None:
         """Return the path to the best place; None if there is none."""
         self.places, self._optional_in = [], 0.0
-        best, chosen, here = 0.0, None, 0.0
-        reached = np.argwhere(grid.reached)
-        if not len(reached):
-            return None
-        centres = grid.centres(reached)
-        costs = grid.cost[reached[:, 0], reached[:, 1]]
-        visited = mapper.poses[:, :2]
-        space, echo_in = grid.space[reached[:, 0], reached[:, 1]], grid.echo_in[reached[:, 0], reached[:, 1]]
-        numbers = np.full(grid.free.shape, -1, dtype=np.intp)
-        numbers[reached[:, 0], reached[:, 1]] = np.arange(len(reached))
-        choices: list[tuple[float, float, Place, npt.NDArray[np.intp]]] = []
-        for place, radius in self._candidates(grid, mapper, reached):
-            at = np.array((place.x_in, place.y_in))
-            # 1. The cells about the place.
-            rows = numbers[grid.square(at, radius)].ravel()
-            rows = rows[rows >= 0]
-            away = np.hypot(*(centres[rows] - at).T)
-            rows, away = rows[away < radius], away[away < radius]
-            tries = self._tries(place)
-            if not len(rows) or tries >= MAX_TRIES[place.kind]:
-                continue
-            # 2. The nearest of those to look from, cheap to reach.
-            chosen_rows = self._cells_to_look_from(place, tries, space[rows], away, echo_in[rows])
-            rows, away = rows[chosen_rows], away[chosen_rows]
-            rows = rows[np.argsort(away + 0.3 * costs[rows], kind="stable")]
-            number = _first_in_sight(centres, rows, at, grid.walls) if place.kind == "frontier" else int(rows[0])
-            if number is None:
-                continue
-            goal = centres[number]
-            place.seen_from_in = float(goal[0]), float(goal[1])
-            if place.kind == "frontier" and self._tries(place, SAME_GOAL_IN) >= MAX_LOOKS:
-                continue
-            past = np.hypot(*(visited - goal).T)
-            if place.kind == "corner":
-                # Another one comes between two visits.
-                is_visited = int((past < NEAR_CORNER_IN).sum()) >= CORNER_NODES or past[-1] < 2.0 * NEAR_CORNER_IN
-            else:
-                is_visited = place.kind != "frontier" and float(past.min(initial=np.inf)) < VISITED_IN
-            if is_visited:
-                continue
-            self.places.append(place)
-            seconds = SETTLE_S + float(costs[number]) / (0.7 * self._speed_in_s)
-            worth = WORTH[place.kind] * place.size
-            if self._is_for(place):
-                worth *= STAY
-            is_here = np.hypot(*(goal - pose[:2])) < HERE_IN
-            if is_here and not (self._goes_on(place, mapper) and self._onward(grid, place.seen_from_in, place)[0]):
-                here = max(here, worth / seconds)
-                continue
-            choices.append((worth / seconds, seconds, place, reached[number]))
-        # Cells without anything, and corners, wait while there may be a room to enter.
-        if any(place.kind == "frontier" and place.size >= ROOM_SIZE for _, _, place, _ in choices):
-            choices = [choice for choice in choices if choice[2].kind not in ("coverage", "corner")]
-        # The best by distance, with the turn before the leg.
-        for value, seconds, place, cell in sorted(choices, key=lambda choice: -choice[0])[:MAX_TURNS_COMPARED]:
-            with_turn = value * seconds / (seconds + self._turn_seconds(grid, pose, cell))
-            if with_turn > best:
-                best, chosen = with_turn, (place, cell)
+        choices, here = self._choices(grid, mapper, pose)
+        # 1. Cells without anything, and corners, wait while there may be a room to enter.
+        if any(choice.place.kind == "frontier" and choice.place.size >= ROOM_SIZE for choice in choices):
+            choices = [choice for choice in choices if choice.place.kind not in ("coverage", "corner")]
+        # 2. The best by distance, with the turn before the leg.
+        best, chosen = 0.0, None
+        for choice in sorted(choices, key=lambda choice: -choice.worth / choice.seconds)[:MAX_TURNS_COMPARED]:
+            value = choice.worth / (choice.seconds + self._turn_seconds(grid, pose, choice.cell))
+            if value > best:
+                best, chosen = value, choice
         self._is_undecided = here > best
         if chosen is None:
             return None
-        self._place = chosen[0]
-        path = self.path(grid, pose, chosen[1])
+        # 3. The path, which to a frontier goes on.
+        self._place = chosen.place
+        path = self.path(grid, pose, chosen.cell)
         samples = _dense(np.concatenate((pose[None, :2], path)))
-        near = np.hypot(*(samples[:, None] - visited).transpose(2, 0, 1)).min(axis=1) < VISITED_IN
+        near = np.hypot(*(samples[:, None] - mapper.poses[:, :2]).transpose(2, 0, 1)).min(axis=1) < VISITED_IN
         self._is_fast = bool(near.mean() > DRIVEN_FRACTION) or CELL_IN * len(samples) > LONG_IN
         if self._goes_on(self._place, mapper):
             onward, self._optional_in = self._onward(grid, path[-1], self._place)
             is_here = len(path) == 1 and dist(path[0], pose[:2]) < HERE_IN
             path = onward if onward and is_here else path + onward
         return path
+
+    def _choices(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> tuple[list[_Choice], float]:
+        """Return the places to drive to, and the most that one is worth per second that can be seen from here."""
+        choices, here = list[_Choice](), 0.0
+        reached = np.argwhere(grid.reached)
+        if not len(reached):
+            return choices, here
+        cells = _ReachedCells(grid, reached)
+        for place, radius in self._candidates(grid, mapper, reached):
+            number = self._cell_for(place, radius, cells, grid)
+            if number is None:
+                continue
+            goal = cells.centres[number]
+            place.seen_from_in = float(goal[0]), float(goal[1])
+            if self._is_visited(place, mapper.poses[:, :2]):
+                continue
+            self.places.append(place)
+            seconds = SETTLE_S + float(cells.costs[number]) / (0.7 * self._speed_in_s)
+            worth = WORTH[place.kind] * place.size * (STAY if self._is_for(place) else 1.0)
+            is_here = dist(place.seen_from_in, pose[:2]) < HERE_IN
+            if is_here and not (self._goes_on(place, mapper) and self._onward(grid, place.seen_from_in, place)[0]):
+                here = max(here, worth / seconds)
+            else:
+                choices.append(_Choice(place, worth, seconds, reached[number]))
+        return choices, here
+
+    def _cell_for(self, place: Place, radius_in: float, cells: _ReachedCells, grid: Grid) -> int | None:
+        """Return the number of the cell from which a place is looked at; None if it is tried in vain, or there is none.
+
+        The nearest of those within a radius that are good to look from, and cheap to reach.
+        """
+        at = np.array((place.x_in, place.y_in))
+        rows, away = cells.about(grid, at, radius_in)
+        tries = self._tries(place)
+        if not len(rows) or tries >= MAX_TRIES[place.kind]:
+            return None
+        chosen = self._cells_to_look_from(place, tries, cells.space[rows], away, cells.echo_in[rows])
+        rows, away = rows[chosen], away[chosen]
+        rows = rows[np.argsort(away + 0.3 * cells.costs[rows], kind="stable")]
+        return _first_in_sight(cells.centres, rows, at, grid.walls) if place.kind == "frontier" else int(rows[0])
+
+    def _is_visited(self, place: Place, visited: Floats) -> bool:
+        """Return True if a place was looked at from where it is seen, by the positions (n, 2) of the robot so far."""
+        if place.kind == "frontier":
+            return self._tries(place, SAME_GOAL_IN) >= MAX_LOOKS
+        past = np.hypot(*(visited - place.seen_from_in).T)
+        if place.kind == "corner":
+            # Another one comes between two visits.
+            return bool((past < NEAR_CORNER_IN).sum() >= CORNER_NODES or past[-1] < 2.0 * NEAR_CORNER_IN)
+        return float(past.min(initial=np.inf)) < VISITED_IN
 
     def _goes_on(self, place: Place, mapper: LiveMapper) -> bool:
         """Return True for a frontier through which the path goes on: exact rays leave gaps in what is unknown."""

@@ -56,8 +56,8 @@ NEAR_S, NEAR_IN = 4.0, 24.0
 """The same of a reading of at most this length while its sonar measures nothing: the end of a wall that was measured
 may return no echo from nearer. A single bad reading of a sonar that measures nothing is one of these."""
 CONFIRMED_S, CONFIRMED_IN, NEAR_BY_IN = 30.0, 2.0, 6.0
-"""The same of one with which the reading before it agrees within the second, while the robot is nearer to the place of
-the reading than the third: it may stand there, and turn."""
+"""If two readings one after the other agree within CONFIRMED_IN, that is remembered for CONFIRMED_S, while the robot is
+within NEAR_BY_IN of where it measured them: it may stand there, and turn."""
 REACTION_S: Final = 1.5
 """The speed is such that the free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
@@ -277,10 +277,10 @@ class SpeedGuard:
         """Return True if the readings of the last GUARD_S are at least a turn of the ring: fewer leave gaps."""
         return sum(wall.clock_s >= clock_s - GUARD_S for wall in self._walls) >= self._sonars
 
-    def short_beams(self, encoders: Floats) -> Floats:
-        """Return x, y, axis and range (k, 4) of readings, from the sonar, in the frame of an encoder pose.
+    def near_beams(self, encoders: Floats) -> Floats:
+        """Return x, y, axis and range (k, 4) of readings that are short, or of what is near by now.
 
-        Those that are short, or of something that is near by now.
+        From the sonar, in the frame of an encoder pose.
         """
         limit_in = self._shortest_in + SHORT_IN
         found = [
@@ -300,7 +300,7 @@ class SpeedGuard:
         reach = self.body_in + SPOT_MARGIN_IN
         goes_back = self.comes_from(encoders, direction_rad)
         for _, x, y, is_guessed in self._spots:
-            # The robot has just come past.
+            # On the trail nothing was as near as half of the limit.
             if goes_back and is_guessed:
                 continue
             off_x, off_y = x - float(encoders[0]), y - float(encoders[1])
@@ -537,16 +537,15 @@ class _Motion:
 
     def _fits(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
         """Return True if the map shows space ahead, and what is too near for the sonars."""
-        walls = mapper.walls_facing(pose[:2])
-        if not mapper.is_sound or not len(walls):
+        if not mapper.is_sound or not len(walls := mapper.walls_facing(pose[:2])):
             return False
         along = np.array((cos(direction_rad), sin(direction_rad)))
         ahead = pose[:2] + np.outer(GAP_STEPS_IN, along)
         is_near = wall_distances(pose[None, :2], walls)[0] < self._guard.body_in + KNOWN_IN
         if not is_near or wall_distances(ahead, mapper.walls).min() <= self._guard.body_in + GAP_SPACE_IN:
             return False
-        # Each short reading must be of a wall of the map, not of one that it does not have yet.
-        beams = self._guard.short_beams(encoders)
+        # Each near reading must be of a wall of the map, not of one that it does not have yet.
+        beams = self._guard.near_beams(encoders)
         faces = pose[:2] + rotate(beams[:, :2], np.full(len(beams), float(pose[2])))
         nearest, distances = nearest_points(faces, walls)
         off = nearest - faces[:, None]

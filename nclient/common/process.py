@@ -92,6 +92,8 @@ def handle_termination_signals() -> Iterator[None]:
         for number in handled:
             signal.signal(number, terminate)
 
+    timers: list[threading.Timer] = []
+
     def resend(unraisable: "sys.UnraisableHookArgs") -> None:
         if not isinstance(unraisable.exc_value, TerminatedBySignal):
             hook_before(unraisable)
@@ -99,9 +101,9 @@ def handle_termination_signals() -> Iterator[None]:
         install()
         number = getattr(signal, unraisable.exc_value.signal_name)
         # Not from here, where the exception would be ignored again.
-        again = threading.Timer(RESEND_S, os.kill, (os.getpid(), number))
-        again.daemon = True
-        again.start()
+        timers.append(threading.Timer(RESEND_S, os.kill, (os.getpid(), number)))
+        timers[-1].daemon = True
+        timers[-1].start()
 
     # 2. Install the handler for the duration of the block.
     hook_before, sys.unraisablehook = sys.unraisablehook, resend
@@ -110,6 +112,8 @@ def handle_termination_signals() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = hook_before
+        for timer in timers:
+            timer.cancel()
         for number in handled:
             signal.signal(number, before[number])
 

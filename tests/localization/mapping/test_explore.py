@@ -345,6 +345,31 @@ def test_cells_wait_while_there_may_be_a_room_to_enter(
     assert (explorer._optional_in > 0.0) is (chosen == "frontier" and not rays)
 
 
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_robot_at_a_frontier_goes_on_or_needs_another_map(
+    monkeypatch: pytest.MonkeyPatch, is_closed: bool
+) -> None:
+    # Something stands just before the robot, or nothing does.
+    grid, explorer = frontier_grid(*([(70.0, 35.0, 90.0, 35.0)] if is_closed else []))
+    pose, mapper = np.array((81.0, 21.0, 0.0)), NoMap()
+    mapper.poses = pose[None]
+    explorer.find_reach(grid, pose)
+    grid.echo_in = np.full(grid.free.shape, np.inf)
+    monkeypatch.setattr(explorer, "_candidates", lambda *_: [(Place("frontier", 81.0, 43.0, 1.6), 44.0)])
+    monkeypatch.setattr(
+        explorer, "_cell_for", lambda _place, _radius, cells, _grid: np.hypot(*(cells.centres - pose[:2]).T).argmin()
+    )
+    path = explorer._next_path(grid, cast("LiveMapper", mapper), pose)
+    assert explorer._is_undecided is is_closed
+    if is_closed:
+        assert path is None
+    else:
+        # It does not first go to the middle of the cell that it stands in.
+        assert path is not None
+        assert len(path) == 1
+        assert path[0][1] > 60.0
+
+
 def test_path_goes_on_through_a_frontier_as_far_as_there_is_space() -> None:
     grid, explorer = frontier_grid()
     explorer.find_reach(grid, np.array((80.0, 10.0, 0.0)))
@@ -377,8 +402,11 @@ def test_exploration_goes_on_with_a_revised_map_before_it_ends(
     found: list[list[tuple[float, float]] | None] = [None, [(5.0, 5.0)], None, None]
     monkeypatch.setattr(explorer, "_next_path", lambda *_: found.pop(0))
     explorer.end_leg(pose, "blocked", 0.0)
+    tried = [Place("frontier", 1.0, 2.0, 1.6), Place("frontier", 3.0, 4.0, 0.5), Place("end", 5.0, 6.0)]
+    explorer._tried = tried.copy()
     assert points_of(explorer.leg(100.0, pose, cast("LiveMapper", mapper), lambda _: 9.0)) == [(5.0, 5.0)]
-    assert (mapper.revisions, explorer.blocked) == (1, {})
+    # What has blocked legs, and the tries of frontiers before rooms, are forgotten.
+    assert (mapper.revisions, explorer.blocked, explorer._tried) == (1, {}, tried[1:])
     # The second time there is nothing left: the last leg, and the end.
     assert explorer.leg(110.0, pose, cast("LiveMapper", mapper), lambda _: 9.0) is not None
     assert (mapper.revisions, found) == (2, [])

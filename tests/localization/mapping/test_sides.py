@@ -9,11 +9,13 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from localization.filters.belief import Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
 from localization.mapping.consistency import compare_returns, late_scores
 from localization.mapping.learn import part_late_points, part_points
-from localization.mapping.live import walls_and_posts
-from localization.mapping.measurements import rotate
+from localization.mapping.live import LiveMapper, walls_and_posts
+from localization.mapping.measurements import DriveCollector, rotate
 from localization.mapping.problem import (
     NO_FEATURE,
     RIGHT_ANGLE_STD_RAD,
@@ -57,6 +59,11 @@ def test_walls_that_face_a_place_were_measured_from_its_side(estimate: MapEstima
     of_first = int((estimate.runs[:, 0] == 0).sum())
     assert len(found) == len(everything) - of_first
     assert of_first == 1
+    noise = OdometryNoise(0.05, 0.05, 0.002)
+    mapper = LiveMapper(DriveCollector("n150"), noise, ConeSonar(), rays=False, roughness_in=0.0)
+    assert not len(mapper.walls_facing(inside))
+    mapper.estimate = estimate
+    np.testing.assert_array_equal(mapper.walls_facing(beyond), found)
     # Unless it was measured from both sides, or is not known in part.
     both = estimate.copy()
     both.sides = 0.0 * estimate.sides

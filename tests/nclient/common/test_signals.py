@@ -76,7 +76,18 @@ def test_a_signal_in_a_finalizer_is_not_lost() -> None:
     assert sys.unraisablehook is before
 
 
-@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_a_block_that_has_ended_is_not_signalled_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda *arguments: sent.append(arguments))
+    monkeypatch.setattr("nclient.common.process.RESEND_S", 0.2)
+    with handle_termination_signals():
+        SignalledWhenDeleted()
+        (timer,) = (thread for thread in threading.enumerate() if isinstance(thread, threading.Timer))
+    timer.join(20.0)
+    assert not timer.is_alive()
+    assert not sent
+
+
 def test_other_errors_in_finalizers_are_reported_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[BaseException | None] = []
     monkeypatch.setattr(sys, "unraisablehook", lambda unraisable: found.append(unraisable.exc_value))
