@@ -1,7 +1,8 @@
 """Data association: the reflector that explains each echo, and headings after turns.
 
 An echo belongs to the reflector whose expected range is nearest, if that is within the gate, the reflector is in the
-cone, the reflecting spot lies on or near the part of the wall seen so far, and no other wall is in between.
+cone, the reflecting spot lies on or near the part of the wall seen so far, and no other wall is in between. In the
+finished map, what is behind a wall that must have returned the first echo is the less probable.
 
 After a turn the heading is uncertain by several degrees, more than the nearest reflector allows. So several headings
 are compared before the echoes that follow are assigned (`align_heading`).
@@ -76,6 +77,9 @@ MIN_CROSSING_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle may be of one wall."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
+FIRST_CONE, FIRST_SIGMAS, SAME_RANGE_IN = 0.75, 2.0, 1e-6
+"""A wall whose foot is within this fraction of the half cone returns an echo, before all that is behind it: what is
+farther off explains an echo only if it is nearer to its range by so many standard deviations."""
 SURFACE_SIGMAS: Final = 2.0
 """Standard deviations of a surface by which a wall may be beside its line: so much farther before its end."""
 END_IN, END_ASIDE_IN = 8.0, 1.0
@@ -88,11 +92,15 @@ MIN_RUN_SPOTS: Final = 3
 SIDED_ECHOES, SIDED = 4, 0.8
 """A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
 at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is."""
+ALONE_SIGMAS: Final = 1.5
+"""An echo of a wall that is nearer to the range of a point may be of the point."""
 MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
 """Width of a door: the robot is 19 in wide."""
 MIN_STRIP_IN: Final = 8.0
 """Width of the strip between what may be echoes of its posts in which a wall would have spots, and a door has none."""
-CORNER_IN, INNER_IN = 4.0, 6.0
+MIN_THICKNESS_IN, MAX_THICKNESS_IN = 2.0, 12.0
+"""Of a wall with two faces."""
+CORNER_IN, INNER_IN = 3.0, 12.0
 """A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
 """Cost that a feature must save to be worth its unknowns: 4 or 6 echoes that nothing else explains."""
@@ -126,6 +134,8 @@ class MapEstimate:
     extents: Floats = field(default_factory=lambda: np.empty((0, 2)))
     runs: Floats = field(default_factory=lambda: np.empty((0, 3)))
     sides: Floats = field(default_factory=lambda: np.empty(0))
+    expects_first_echoes: bool = False
+    """True for a finished map, whose walls must return the first echo (`_are_behind`); a wrong wall would take more."""
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
@@ -246,13 +256,19 @@ class MapEstimate:
         """Return the echoes that a feature explains."""
         return np.flatnonzero(self.assignment.feature == feature)
 
-    def _feet_and_sides(self, wall: int, echoes: Indices) -> tuple[Floats, Floats]:
-        """Return coordinates along a wall at which echoes within ROBUST_LIMIT were reflected, and from which side."""
+    def _feet_and_sides(self, wall: int, echoes: Indices) -> tuple[Floats, Floats, Mask]:
+        """Return where along a wall echoes within ROBUST_LIMIT were reflected, from which side, and if by it alone.
+
+        Others may be echoes of points on its line.
+        """
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
-        lines = self.state.walls[wall : wall + 1]
+        lines, std_in = self.state.walls[wall : wall + 1], self.problem.trajectory.std_in[echoes]
         ranges, _, feet, _ = _wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
-        fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * self.problem.trajectory.std_in[echoes]
-        return feet[fits, 0], sides_of(sensors.face[fits], lines)[:, 0]
+        fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * std_in
+        points = self.state.points[self._is_on_line(wall)]
+        away = np.hypot(*(sensors.face[:, None] - points).transpose(2, 0, 1))
+        is_of_point = np.abs(sensors.range_in[:, None] - away) < ALONE_SIGMAS * std_in[:, None]
+        return feet[fits, 0], sides_of(sensors.face[fits], lines)[:, 0], ~is_of_point.any(axis=1)[fits]
 
     def _unambiguous_features(self) -> Indices:
         """Return the feature of each echo (e,), none where a wall that crosses the one assigned explains it as well.
@@ -275,16 +291,21 @@ class MapEstimate:
         extents, runs = np.empty((len(self.state.walls), 2)), [np.empty((0, 3))]
         sides, passed = np.zeros(len(extents)), self._passed_at()
         feature = self._unambiguous_features() if self.problem.rays else self.assignment.feature
+        to_points = points_at_ends(self.state.walls, self.extents, self.state.points)
         for wall in range(len(extents)):
-            feet, signs = self._feet_and_sides(wall, np.flatnonzero(feature == wall))
-            feet = np.sort(feet)
+            feet, signs, is_alone = self._feet_and_sides(wall, np.flatnonzero(feature == wall))
+            order = np.argsort(feet, kind="stable")
+            feet, is_alone = feet[order], is_alone[order]
             if len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED:
                 sides[wall] = np.sign(signs.mean())
-            if len(feet) > 3:
+            if np.isfinite(to_points[wall, 0]):
+                extents[wall] = self.extents[wall] + to_points[wall] * (-1.0, 1.0)
+                runs.append(np.array([(wall, *extents[wall])]))
+            elif len(feet) > 3:
                 points = self._points_along(wall)
                 feet = np.clip(feet, *_end_points(points, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
-                runs.append(_runs(wall, feet[1:-1], points, passed[wall], self._radius_in))
+                runs.append(_runs(wall, feet[1:-1], is_alone[1:-1], points, passed[wall], self._radius_in))
             else:
                 extents[wall] = self.extents[wall]
                 runs.append(self.runs[self.runs[:, 0] == wall])
@@ -308,9 +329,14 @@ class MapEstimate:
 
     def _points_along(self, wall: int) -> Floats:
         """Return the sorted coordinates (k,) along a wall of the points on its line."""
-        (angle, offset), points = self.state.walls[wall], self.state.points
-        c, s = np.cos(angle), np.sin(angle)
-        return np.sort((points @ (-s, c))[np.abs(points @ (c, s) - offset) < END_ASIDE_IN])
+        angle = self.state.walls[wall, 0]
+        return np.sort((self.state.points @ (-np.sin(angle), np.cos(angle)))[self._is_on_line(wall)])
+
+    def _is_on_line(self, wall: int) -> Mask:
+        """Return True (v,) for the points on the line of a wall."""
+        angle, offset = self.state.walls[wall]
+        across = self.state.points @ (np.cos(angle), np.sin(angle)) - offset
+        return np.asarray(np.abs(across) < END_ASIDE_IN, dtype=np.bool_)
 
     @property
     def blocking(self) -> Floats:
@@ -371,17 +397,17 @@ def _end_points(points: Floats, low: float, high: float) -> tuple[float, float]:
     return min(first.tolist(), default=low), max(last.tolist(), default=high)
 
 
-def _runs(wall: int, feet: Floats, points: Floats, passed: Floats, radius_in: float) -> Floats:
+def _runs(wall: int, feet: Floats, is_alone: Mask, points: Floats, passed: Floats, radius_in: float) -> Floats:
     """Return the parts (r, 3) of a wall between spots (sorted) without a wide gap: wall, first, last coordinate.
 
     Where the robot has passed it is open: a mistaken spot there is none. So it is between two points of its line, the
-    posts of a door, with hardly any spots but near to them: those may be echoes of the posts, as at its ends.
+    posts of a door, with hardly any spots but near to them, or whose ranges fit the posts as well (not `is_alone`).
     """
     is_door = (np.diff(points) > 2.0 * END_IN + MIN_STRIP_IN) & (np.diff(points) < MAX_DOOR_IN)
     for low, high in zip(points[:-1][is_door], points[1:][is_door], strict=True):
         is_between = (feet > low) & (feet < high)
-        if (is_between & (feet > low + END_IN) & (feet < high - END_IN)).sum() < MIN_RUN_SPOTS:
-            feet = feet[~is_between]
+        if (is_between & is_alone & (feet > low + END_IN) & (feet < high - END_IN)).sum() < MIN_RUN_SPOTS:
+            feet, is_alone = feet[~is_between], is_alone[~is_between]
     feet = feet[(np.abs(feet[:, None] - passed) > radius_in).all(axis=1)]
     is_passed = ((feet[:-1, None] < passed) & (passed < feet[1:, None])).any(axis=1)
     parts = np.split(feet, np.flatnonzero((np.diff(feet) > MAX_GAP_IN) | is_passed) + 1)
@@ -444,10 +470,11 @@ def _wall_geometry(
     return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
 
 
-def growth_of(walls: Floats, extents: Floats) -> Floats:
+def growth_of(walls: Floats, extents: Floats, points: Floats) -> Floats:
     """Return how far walls (w, 2) may go on beyond either end (w, 2) of the part of them that was seen.
 
     Beyond another wall that they meet there only MIN_GROWTH_IN: in line with them may be a cabinet of the next room.
+    The end of a thick wall goes on to the points (v, 2) at its ends.
     """
     growth = np.clip(GROWTH * (extents[:, 1:] - extents[:, :1]), MIN_GROWTH_IN, MAX_GROWTH_IN)
     # The crossing of two lines, (w, w) along the one and along the other.
@@ -460,7 +487,26 @@ def growth_of(walls: Floats, extents: Floats) -> Floats:
     onward = np.stack((extents[:, :1] - along, along - extents[:, 1:]), axis=-1)
     limit = np.where(is_met[..., None] & (onward > -END_IN), np.maximum(onward, 0.0) + MIN_GROWTH_IN, np.inf)
     found: Floats = np.minimum(growth, limit.min(axis=1, initial=np.inf))
-    return found
+    return np.minimum(found, points_at_ends(walls, extents, points) + END_ASIDE_IN)
+
+
+def points_at_ends(walls: Floats, extents: Floats, points: Floats) -> Floats:
+    """Return how far beyond either end (w, 2) of a wall as short as a wall is thick a point ends it; inf for others.
+
+    Such a wall, with points (v, 2) at both of its ends, is the end of a thick wall, or a side of a post.
+    """
+    c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
+    is_on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < END_ASIDE_IN
+    at = c * points[:, 1] - s * points[:, 0]
+    beyond = np.stack((extents[:, :1] - at, at - extents[:, 1:]), axis=-1)
+    if not points.size:
+        return np.full(extents.shape, np.inf)
+    nearest = np.where(is_on_line[..., None], np.abs(beyond), np.inf).argmin(axis=1)
+    found = np.take_along_axis(beyond, nearest[:, None], axis=1)[:, 0]
+    length = extents[:, 1] - extents[:, 0] + found.sum(axis=1)
+    is_short = (length > MIN_THICKNESS_IN) & (length < MAX_THICKNESS_IN)
+    is_short &= (np.abs(found) < END_IN).all(axis=1) & np.take_along_axis(is_on_line, nearest, axis=1).all(axis=1)
+    return np.where(is_short[:, None], found, np.inf)
 
 
 def residual_matrix(
@@ -486,7 +532,7 @@ def residual_matrix(
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
-    growth = growth_of(state.walls, extents)
+    growth = growth_of(state.walls, extents, state.points)
     on_wall = (feet > extents[:, 0] - growth[:, 0]) & (feet < extents[:, 1] + growth[:, 1])
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
@@ -518,50 +564,160 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
-    points, faces = _hidden_points(estimate)
-    row, pair = np.nonzero(is_back[:, faces])
-    residual[row, len(walls) + points[pair]] = np.inf
+    hidden = _hidden_points(estimate)
+    row, pair = np.nonzero(hidden.hides(sensors.face, is_back, walls))
+    residual[row, len(walls) + hidden.points[pair]] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
-    # 2. The nearest.
-    best = np.abs(residual).argmin(axis=1)
+    # 2. The nearest, and nothing that is behind what echoes first unless that is farther off by FIRST_SIGMAS.
+    sizes = np.abs(residual)
+    if estimate.expects_first_echoes and not estimate.problem.rays:
+        echo, feature = echo[~blocked], feature[~blocked]
+        is_behind = _are_behind(estimate, sensors, residual[echo, feature], spots[echo, feature], (echo, feature))
+        sizes[echo[is_behind], feature[is_behind]] += FIRST_SIGMAS
+    best = sizes.argmin(axis=1)
     left = residual[np.arange(len(echoes)), best]
     is_explained = np.isfinite(left)
     cost = np.where(is_explained, robust_cost(np.where(is_explained, left, 0.0)), ROBUST_LIMIT**2)
     return np.where(is_explained, best, NO_FEATURE), cost
 
 
-def _hidden_points(estimate: MapEstimate) -> tuple[Indices, Indices]:
-    """Return points and faces (k,): what is behind the face does not measure the point. They are of three kinds.
+def _are_behind(
+    estimate: MapEstimate, sensors: Sensors, residual: Floats, spots: Floats, pairs: tuple[Indices, Indices]
+) -> Mask:
+    """Return True (k,) for features from which an echo comes later than from a wall that must have returned one.
+
+    That is a wall whose foot is well within the cone, and well within a part that was measured. By the nearest range
+    alone an echo of it that is too long would be one of the corner behind it, and one that is too short would remain
+    its own: the mean of what remains is too short, and rooms become too small.
+
+    Parameters
+    ----------
+    estimate, sensors
+        The map, and the sonars (e,).
+    residual, spots
+        (k,) residuals and (k, 2) reflecting spots of the pairs.
+    pairs
+        (k,) numbers of echoes, and of features that may explain each.
+    """
+    echo, feature = pairs
+    off = spots - sensors.face[echo]
+    away = np.hypot(*off.T)
+    off_axis = np.abs(wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - sensors.axis[echo]))
+    walls = np.flatnonzero(
+        (feature < len(estimate.state.walls)) & (np.abs(residual) < ROBUST_LIMIT)
+        & (off_axis < FIRST_CONE * estimate.problem.reflection.half_cone_rad)
+    )  # fmt: skip
+    angle = estimate.state.walls[feature[walls], 0]
+    at = spots[walls, 1] * np.cos(angle) - spots[walls, 0] * np.sin(angle)
+    is_measured = np.zeros(len(walls), dtype=np.bool_)
+    for wall, low, high in estimate.runs.tolist():
+        is_measured |= (feature[walls] == wall) & (at > low + END_IN) & (at < high - END_IN)
+    first = walls[is_measured]
+    first_in = np.full(len(sensors.face), np.inf)
+    np.minimum.at(first_in, echo[first], away[first])
+    return np.asarray(away > first_in[echo] + SAME_RANGE_IN, dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class _HiddenPoints:
+    """Points that are not measured from behind a face: numbers of both (k,), and from which part of its back.
+
+    `sides` (k,) are 1 for points hidden from where the coordinate along the face is higher than theirs, -1 from where
+    it is lower, and 0 for points hidden from all of its back. `at` (k,) are their coordinates.
+    """
+
+    points: Indices
+    faces: Indices
+    sides: Floats
+    at: Floats
+
+    def hides(self, places: Floats, is_back: Mask, walls: Floats) -> Mask:
+        """Return True (p, k) for places (p, 2), which are behind the walls (w, 2) or not (p, w), to which one is."""
+        angle = walls[self.faces, 0]
+        beyond = places[:, 1:] * np.cos(angle) - places[:, :1] * np.sin(angle) - self.at
+        return np.asarray(is_back[:, self.faces] & (self.sides * beyond >= 0.0), dtype=np.bool_)
+
+
+def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
+    """Return which points are hidden from behind which faces.
 
     An inner corner is on a face and a wall that goes on in front of it: behind it there is the corner of the next room.
-    An edge is on a face, or in its plane across an opening from where it ends, and both edges of a door are: from
-    behind, the edge on that side of the wall is nearer, in about the same direction, and echoes first. The end of a
-    face alone may be the corner of a box, which is seen from beside the face as well.
+    A point within a face is hidden as well. Both edges of a door in a face are: from behind, the edge on that side of
+    the wall is nearer, in about the same direction, and echoes first. Once that edge is known, the point is seen past
+    it through the door, and hidden by the wall itself. Another end of a face may be the corner of a box, which is seen
+    from beside the face, or the end of a wall too thin to have two edges.
     """
-    state, extents = estimate.state, estimate.extents
+    state, extents, sides = estimate.state, estimate.extents, estimate.sides
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
     along = state.points[:, 1:] * c - state.points[:, :1] * s
-    across = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1])
+    off = state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]
+    across = np.abs(off)
     onward = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1)
-    on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents)).all(axis=-1)
+    on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents, state.points)).all(axis=-1)
     # Of both faces of a thin wall it is on the nearer one: the other one would hide it from where it is measured.
-    facing = estimate.sides[:, None] * estimate.sides * np.cos(state.walls[:, None, 0] - state.walls[:, 0])
+    facing = sides[:, None] * sides * np.cos(state.walls[:, None, 0] - state.walls[:, 0])
     is_opposite, is_nearer = facing < -np.cos(MIN_CROSSING_RAD), across[:, None] < across[..., None]
     on_wall &= ~(is_nearer & on_wall[:, None] & is_opposite).any(axis=2)
-    # 2. Inner corners: how far the other wall goes on from there to where the face's normal points, or away from it.
-    slope = c[:, None] * -s + s[:, None] * c
-    ends = onward * (1.0, -1.0)
-    reach = (ends[:, None] * slope[None, :, :, None] * estimate.sides[:, None, None]).max(axis=-1)
-    is_inner = (on_wall[:, None] & (reach > INNER_IN)).any(axis=2)
-    # 3. Edges: not at an end (v, w, 2), or with another point beyond that end, at the distance of a door.
+    # 2. Inner corners: whether a part of the other wall goes on from there to where the face's normal points.
+    parts = parts_of(estimate.runs, extents)
+    slope = (c[:, None] * -s + s[:, None] * c) * sides[:, None]
+    is_inner = np.zeros(on_wall.shape, dtype=np.bool_)
+    for direction, goes_on in zip((-1.0, 1.0), _go_on(parts, along), strict=True):
+        is_inner |= (on_wall & goes_on) @ (direction * slope > np.sin(MIN_CROSSING_RAD)).T
+    # 3. Ends: on which side of the point its wall is, 1 where the coordinate is higher; across a door beyond it.
+    wall_side = ends_of_parts(parts, along)
+    is_across = onward > MIN_DOOR_IN
+    wall_side = np.where(is_across.any(axis=-1), is_across[..., 1] * 1.0 - is_across[..., 0], wall_side)
+    # 4. Of doors: ends across one, or with another point at that distance beyond them. Is the wall's other edge known?
+    is_door = is_across & (onward < MAX_DOOR_IN)
     at_end = np.abs(onward) < END_IN
-    is_across = on_wall[..., None] & (onward > MIN_DOOR_IN) & (onward < MAX_DOOR_IN)
-    is_edge = ~at_end.any(axis=-1) | (at_end & is_across.any(axis=0)).any(axis=-1)
-    points, faces = np.nonzero(on_wall & (estimate.sides != 0.0) & (is_inner | is_edge))
-    return points, faces
+    has_door = is_door.any(axis=-1) | (at_end & (on_wall[..., None] & is_door).any(axis=0)).any(axis=-1)
+    behind = (off[:, None] - off) * sides
+    has_other = ((behind > MIN_THICKNESS_IN) & (behind < MAX_THICKNESS_IN)
+                 & (np.abs(along[:, None] - along) < CORNER_IN)).any(axis=1)  # fmt: skip
+    is_all = is_inner | (wall_side == 0.0) | (has_door & ~has_other)
+    points, faces = np.nonzero(on_wall & (sides != 0.0) & (is_all | has_other))
+    at = points, faces
+    return _HiddenPoints(points, faces, np.where(is_all, 0.0, wall_side)[at], along[at])
+
+
+def parts_of(runs: Floats, extents: Floats) -> Floats:
+    """Return the measured parts (r, 3) of walls: wall, first and last coordinate; walls without runs (r, 3) are one."""
+    others = np.setdiff1d(np.arange(len(extents)), runs[:, 0].astype(np.intp))
+    return np.concatenate((runs, np.column_stack((others, extents[others]))))
+
+
+def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
+    """Return True (v, w) where a part (r, 3) of a wall begins soon after a coordinate, downwards and upwards."""
+    down, up = np.zeros(along.shape, dtype=np.bool_), np.zeros(along.shape, dtype=np.bool_)
+    for wall, low, high in parts.tolist():
+        at, number = along[:, int(wall)], int(wall)
+        down[:, number] |= (high > at - MAX_GAP_IN) & (low < at - INNER_IN)
+        up[:, number] |= (low < at + MAX_GAP_IN) & (high > at + INNER_IN)
+    return down, up
+
+
+def ends_of_parts(parts: Floats, along: Floats) -> Floats:
+    """Return for points 1 where a part of a wall begins, -1 where one ends, else 0, (v, w).
+
+    Parameters
+    ----------
+    parts
+        (r, 3) wall, first and last coordinate.
+    along
+        (v, w) coordinates of the points along the walls.
+    """
+    found, is_within = np.zeros(along.shape), np.zeros(along.shape, dtype=np.bool_)
+    for wall, low, high in parts.tolist():
+        at, number = along[:, int(wall)], int(wall)
+        inner = min(END_IN, 0.5 * (high - low))
+        found[(at <= low + inner) & (at > low - MAX_GAP_IN), number] = 1.0
+        found[(at > high - inner) & (at < high + MAX_GAP_IN), number] = -1.0
+        is_within[:, number] |= (at > low + inner) & (at <= high - inner)
+    return np.where(is_within, 0.0, found)
 
 
 def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:

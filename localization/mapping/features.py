@@ -64,6 +64,8 @@ POINT_CELL_IN: Final = 2.0
 RAY_FAN: Final = np.arange(-6, 7) * 3.0 * ANGLE_CELL_RAD
 """Directions off a ray for which an echo votes: normals of walls."""
 MIN_VOTES: Final = 6
+MIN_DOUBTFUL: Final = 12
+"""Echoes of a point that may be a wall as well: it saves twice its penalty at least."""
 FRONT: Final = -1.0
 """Side of a new wall on which its sonars are: its normal points away from them."""
 MAX_CANDIDATES: Final = 6
@@ -123,8 +125,11 @@ class FreeEchoes:
         return replace(self, sensors=sensors, std_in=self.std_in[at])
 
 
-def find_births(estimate: MapEstimate, first_node: int) -> int:
-    """Add the walls and points that unexplained echoes since a node show, and return their number."""
+def find_births(estimate: MapEstimate, first_node: int, *, with_doubtful: bool = False) -> int:
+    """Add the walls and points that unexplained echoes since a node show, and return their number.
+
+    With doubtful ones, what may be either becomes a point if it has MIN_DOUBTFUL echoes: a point is never a wrong wall.
+    """
     echoes = estimate.echoes(first_node)
     echoes = echoes[estimate.assignment.feature[echoes] == NO_FEATURE]
     free = _free_echoes(estimate, echoes)
@@ -142,7 +147,7 @@ def find_births(estimate: MapEstimate, first_node: int) -> int:
             if votes < MIN_VOTES:
                 break
             # 2. What it is; its echoes are used up, decided or not.
-            fit, found_wall, used = _decide(remaining, feature, is_wall)
+            fit, found_wall, used = _decide(remaining, feature, is_wall, with_doubtful)
             if not used.any():
                 break
             left[numbers[used]] = False
@@ -268,7 +273,9 @@ def _base(free: FreeEchoes, predicted: RangePrediction, supports: Mask, is_wall:
     return float(across[-2] - across[1])
 
 
-def _decide(free: FreeEchoes, feature: Floats, is_wall: bool) -> tuple[Fit | None, bool, Mask]:
+def _decide(
+    free: FreeEchoes, feature: Floats, is_wall: bool, with_doubtful: bool = False
+) -> tuple[Fit | None, bool, Mask]:
     """Return the fit of the better kind or None if undecided, True for a wall, and the echoes that are used up."""
     # 1. The kind that the peak is of, then the other one from the same echoes.
     first = _fit(free, feature, is_wall)
@@ -293,6 +300,8 @@ def _decide(free: FreeEchoes, feature: Floats, is_wall: bool) -> tuple[Fit | Non
     if gain > MIN_DIFFERENCE and wall.supports.sum() >= MIN_VOTES and wall.base_in >= MIN_BASE_IN:
         return wall, True, wall.supports
     if gain < -MIN_DIFFERENCE and point.supports.sum() >= MIN_VOTES and point.base_in >= MIN_BASE_IN:
+        return point, False, point.supports
+    if with_doubtful and point.supports.sum() >= MIN_DOUBTFUL and point.base_in >= MIN_BASE_IN:
         return point, False, point.supports
     return None, is_wall, first.supports
 

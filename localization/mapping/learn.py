@@ -38,6 +38,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import (
     LAG_NODES,
+    MIN_THICKNESS_IN,
     PENALTY,
     SIDED,
     MapEstimate,
@@ -71,6 +72,7 @@ from localization.mapping.walls import (
     REACH_IN,
     Span,
     extract_walls,
+    find_wall_ends,
     free_paths,
     pass_through,
     uncrossed_spans,
@@ -95,8 +97,6 @@ MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
 JOIN_STEPS: Final = 6
 """Steps of plain least squares that bring the echoes of two walls onto one line, far as they may be."""
-MIN_THICKNESS_IN: Final = 2.0
-"""Of a wall whose faces are two; a thinner one is one line."""
 FACE_SIGMAS: Final = 2.0
 """Standard deviations by which the thickness of a wall must be less to make one of two faces."""
 PRIOR_INFORMATION: Final = 1e-6
@@ -202,15 +202,22 @@ class MapLearner:
         for _ in range(LAST_ROUNDS):
             if not revise(self.estimate):
                 break
+        if find_births(self.estimate, 0, with_doubtful=True):
+            self.estimate.associate()
+            self.estimate.optimize()
+            merge(self.estimate)
+            prune(self.estimate)
         drop_hidden(self.estimate)
         tie_points(self.estimate)
-        # With the weights of its ranges, and without those that the map then explains no more.
+        # With the weights of its ranges and first echoes, and without those that the map then explains no more.
+        self.estimate.expects_first_echoes = True
         for _ in range(2):
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
+        close_wall_ends(self.estimate)
 
 
 def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:
@@ -576,14 +583,8 @@ def _have_ends(estimate: MapEstimate) -> Mask:
 def _try_join(estimate: MapEstimate, span: Span) -> bool:
     """Add a wall between two points if the total cost falls; return True if it did."""
     state, problem = estimate.state, estimate.problem
-    first, second = span.ends.reshape(2, 2)
     # 1. The line through both.
-    along = (second - first) / np.hypot(*(second - first))
-    angle = float(np.arctan2(-along[0], along[1]))
-    normal = np.array((np.cos(angle), np.sin(angle)))
-    forward = np.array((-normal[1], normal[0]))
-    low, high = sorted((float(first @ forward), float(second @ forward)))
-    line, extent = np.array((angle, float(first @ normal))), np.array((low, high))
+    line, extent = _line_of(span)
     if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN).any():
         return False
     # 2. It must explain echoes of its inner part that no wall explains.
@@ -595,8 +596,8 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         echoes = echoes[is_open & ~np.isin(feature, (walls + span.one, walls + span.other))]
         alone = replace(state, walls=line[None], points=state.points[:0], levels=Levels())
         residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
-        feet = spots[:, 0] @ forward
-        supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > low) & (feet < high)
+        feet = spots[:, 0] @ (-np.sin(line[0]), np.cos(line[0]))
+        supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > extent[0]) & (feet < extent[1])
         if supports.sum() < MIN_JOIN_ECHOES:
             return False
     trial = _with_wall(estimate, line, extent)
@@ -604,6 +605,41 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         return False
     estimate.replace_by(trial)
     return True
+
+
+def close_wall_ends(estimate: MapEstimate) -> int:
+    """Add the ends of walls whose faces both end there (`find_wall_ends`), and optimize; return their number.
+
+    They have no echoes of their own. What determines them are their corners, and that walls are at right angles.
+    """
+    spans = [
+        span for span in find_wall_ends(estimate, free_paths(estimate))
+        if not pass_through(estimate.state.walls, span.ends[None], POINT_ON_WALL_IN).any()
+    ]  # fmt: skip
+    if not spans:
+        return 0
+    first = len(estimate.state.walls)
+    for span in spans:
+        estimate.add_wall(*_line_of(span))
+    tie_points(estimate)
+    estimate.optimize(LAST_STEPS)
+    # They have turned, and coordinates along them have changed.
+    for number, span in enumerate(spans, start=first):
+        angle = estimate.state.walls[number, 0]
+        at = estimate.state.points[[span.one, span.other]] @ (-np.sin(angle), np.cos(angle))
+        estimate.narrow(number, np.sort(at))
+    return len(spans)
+
+
+def _line_of(span: Span) -> tuple[Floats, Floats]:
+    """Return the line (2,) through both points of a span, and its extent (2,)."""
+    first, second = span.ends.reshape(2, 2)
+    along = (second - first) / np.hypot(*(second - first))
+    angle = float(np.arctan2(-along[0], along[1]))
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    forward = np.array((-normal[1], normal[0]))
+    extent = np.sort((float(first @ forward), float(second @ forward)))
+    return np.array((angle, float(first @ normal))), extent
 
 
 def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstimate:

@@ -25,10 +25,14 @@ from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.mapping.association import (
     BLOCKED_IN,
     MAX_GAP_IN,
+    MAX_THICKNESS_IN,
+    MIN_THICKNESS_IN,
     MapEstimate,
     Mask,
     crossings,
+    ends_of_parts,
     is_blocked,
+    parts_of,
     residual_matrix,
 )
 from localization.mapping.consistency import repeated_ranges
@@ -60,9 +64,15 @@ MIN_STOPPED: Final = 4
 """Sonars that were directed between two points, not one of which has measured anything behind."""
 MAX_SILENT_IN: Final = 30.0
 """A longer wall is measured itself by a robot that passes: it is none by what is not measured behind it alone."""
+FACE_RAD: Final = radians(5.0)
+"""Greatest angle between the faces of a wall."""
+MIN_SQUARE_COS: Final = 0.9
+"""The ends of both faces of a wall are opposite one another, within 26 degrees."""
 SPAN_SIGHT_IN: Final = 80.0
 SPAN_INCIDENCE_COS: Final = 0.35
 """From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
+END_MARGIN: Final = 0.3
+"""Paths may cross the outer three tenths of the end of a wall: they pass its corners."""
 SPAN_MARGIN: Final = 0.1
 """The outer tenths of a span belong to its points."""
 FACING_COS: Final = 0.98
@@ -95,6 +105,8 @@ MIN_CORNER_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle make no corner: its position would be uncertain."""
 MAX_STD_IN: Final = 0.5
 """Highest standard deviation of a smooth wall that is written: beyond twice that, 1 in, a wall is a wrong one."""
+GAUGE_STEPS, GAUGE_STD_IN = 3, 0.5
+"""Steps of the weights of the rigid fit, and the standard deviation below which all displacements weigh the same."""
 MIN_STD_IN: Final = 1e-4
 """Least standard deviation of a wall in a world file: its last decimal."""
 
@@ -206,6 +218,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     # 2. Pieces.
     points = estimate.state.points
     spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
+    spans += find_wall_ends(estimate, (starts, ends))
     owners = [int(np.argmin([line.off(span.ends) for line in lines])) for span in spans] if lines else []
     pieces = [
         Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
@@ -283,6 +296,8 @@ class Span:
         Widest part of the span at which none of them was directed, inches.
     closes_outline
         Whether three walls lead from one point to the other: it is the fourth side of a box.
+    ends_wall
+        Whether both faces of a wall end there: it is the reveal of a door, or another end of a thick wall.
     """
 
     one: int
@@ -291,13 +306,14 @@ class Span:
     stopped: int
     gap_in: float = 0.0
     closes_outline: bool = False
+    ends_wall: bool = False
 
     @property
     def is_wall(self) -> bool:
         """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
         is_silent = self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
         is_short = float(np.hypot(*(self.ends[2:] - self.ends[:2]))) <= MAX_SILENT_IN
-        return is_short and (is_silent or self.closes_outline)
+        return self.ends_wall or (is_short and (is_silent or self.closes_outline))
 
 
 def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
@@ -347,6 +363,55 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
             Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap, bool(closes[number]))
         )
     return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
+
+
+def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
+    """Return the pairs of points at which both faces of a wall end: its end leads from one to the other.
+
+    So the reveals of doors are found, a hand's breadth long, which few sonars face. Each face was measured from its own
+    side and ends at its own point, and the points are opposite one another; at the two posts of a door the faces end
+    in opposite directions. No paths (p, 2) to (p, 2) have crossed, and no wall meets the faces there.
+    """
+    points, walls = estimate.state.points, estimate.state.walls
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    along, outward = np.stack((-normals[:, 1], normals[:, 0]), axis=-1), estimate.sides[:, None] * normals
+    is_on_face = (np.abs(points @ normals.T - walls[:, 1]) < POINT_ON_LINE_IN) & (estimate.sides != 0.0)
+    ends = np.where(is_on_face, ends_of_parts(parts_of(estimate.runs, estimate.extents), points @ along.T), 0.0)
+    off = points[:, None] - points
+    away = np.hypot(*off.transpose(2, 0, 1))
+    # 1. Pairs of points: faces that look away from one another, across the line between them, on one side of it.
+    candidates = []
+    for one, other in np.argwhere(np.triu((away > MIN_THICKNESS_IN) & (away < MAX_THICKNESS_IN))).tolist():
+        i, j = np.flatnonzero(ends[one]), np.flatnonzero(ends[other])
+        across = off[one, other] / away[one, other]
+        fits = outward[i] @ outward[j].T < -np.cos(FACE_RAD)
+        fits &= (ends[one, i, None] * along[i]) @ (ends[other, j, None] * along[j]).T > 0.0
+        square = np.where(fits, np.minimum((outward[i] @ across)[:, None], outward[j] @ -across), 0.0)
+        if square.max(initial=0.0) > MIN_SQUARE_COS:
+            candidates.append((float(square.max()), one, other))
+    # 2. The squarest where a corner is more than one point; one that nothing has crossed, and that is no junction.
+    found = list[Span]()
+    for _, one, other in sorted(candidates, reverse=True):
+        span = Span(one, other, np.concatenate((points[one], points[other])), 0, ends_wall=True)
+        inner = span.ends + np.tile(END_MARGIN * (points[other] - points[one]), 2) * (1.0, 1.0, -1.0, -1.0)
+        is_crossed = int(crossings(*paths, inner[None]).sum()) >= MIN_CROSSINGS
+        middle = span.ends.reshape(2, 2).mean(axis=0)
+        beside = (np.hypot(*(known.ends.reshape(2, 2).mean(axis=0) - middle)) < SAME_CORNER_IN for known in found)
+        if not is_crossed and not any(beside) and not _is_on_longer_wall(estimate, span.ends.reshape(2, 2)):
+            found.append(span)
+    return found
+
+
+def _is_on_longer_wall(estimate: MapEstimate, ends: Floats) -> bool:
+    """Return True if a wall through two points (2, 2) was measured beyond them: another wall meets it there."""
+    through = np.flatnonzero(pass_through(estimate.state.walls, ends.reshape(1, 4), POINT_ON_LINE_IN)[:, 0])
+    for wall in through:
+        angle = estimate.state.walls[wall, 0]
+        low, high = np.sort(ends @ np.array((-np.sin(angle), np.cos(angle))))
+        runs = estimate.runs[estimate.runs[:, 0] == wall, 1:]
+        if ((runs[:, 0] < low - OVERSHOOT_IN) | (runs[:, 1] > high + OVERSHOOT_IN)).any():
+            return True
+    return False
 
 
 def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, Floats, float]) -> bool:
@@ -783,8 +848,10 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     """Set the standard deviations of the pieces, of what remains after the best rigid fit of all.
 
     The displacements of both ends of each piece across it, and of all points, are linear in the unknowns: d = A u. A
-    rigid motion moves them by N (x, y, turn). What remains after the best fit is (I - N N^+) d. Without the points the
-    only wall across a corridor would be exact, since it alone would tell the position along it.
+    rigid motion moves them by N (x, y, turn). What remains after the best fit is (I - N F) d with the weighted fit
+    F = (N' W N)^-1 N' W. The weights are those of what remains itself, or a single point that is known to a foot would
+    move the whole map. Without the points the only wall across a corridor would be exact, since it alone would tell the
+    position along it.
     """
     if not pieces:
         return
@@ -803,15 +870,19 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
         row, column = 2 * (len(pieces) + number), WALL * len(state.walls) + POINT * number
         A[row, column] = A[row + 1, column + 1] = 1.0
         N[row : row + 2] = (1.0, 0.0, -y), (0.0, 1.0, x)
-    rest = (np.eye(len(A)) - N @ np.linalg.pinv(N)) @ A
-    spread = rest @ covariance @ rest.T
+    weights = np.ones(len(A))
+    for _ in range(GAUGE_STEPS):
+        fit = np.linalg.pinv(np.sqrt(weights)[:, None] * N) * np.sqrt(weights)
+        rest = A - N @ (fit @ A)
+        spread = rest @ covariance @ rest.T
+        weights = 1.0 / (GAUGE_STD_IN**2 + np.maximum(np.diag(spread), 0.0))
     for number, piece in enumerate(pieces):
         low, high = 2 * number, 2 * number + 1
         middle = 0.25 * (spread[low, low] + spread[high, high] + 2.0 * spread[low, high])
         turn = (spread[low, low] + spread[high, high] - 2.0 * spread[low, high]) / piece.measured_in**2
         piece.std_in, piece.std_rad = float(np.sqrt(max(middle, 0.0))), float(np.sqrt(max(turn, 0.0)))
     # Ends along their walls, without the same rigid motion.
-    gauge = np.linalg.pinv(N) @ A
+    gauge = fit @ A
     for piece in pieces:
         stds: list[float | None] = [None, None]
         for end in range(2):

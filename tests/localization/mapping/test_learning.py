@@ -13,8 +13,9 @@ import pytest
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
+from localization.mapping import walls
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
-from localization.mapping.features import FreeEchoes, _fit
+from localization.mapping.features import FreeEchoes, _decide, _fit
 from localization.mapping.learn import (
     _may_be_faces,
     _merged,
@@ -28,7 +29,7 @@ from localization.mapping.learn import (
 from localization.mapping.measurements import DriveLog
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
-from localization.mapping.walls import end_derivative
+from localization.mapping.walls import end_derivative, extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world, parse_world
@@ -59,6 +60,23 @@ def test_room_has_its_four_walls_and_size(room: LearnedMap) -> None:
     np.testing.assert_allclose(distances(room), (120.0, 100.0), atol=0.8)
     assert room.reason_to_refuse() == ""
     assert room.quality.explained > 0.95
+
+
+@pytest.mark.parametrize(("count", "is_point"), [(20, True), (10, False)])
+def test_what_may_be_a_wall_or_a_point_is_a_point_at_the_end(count: int, is_point: bool) -> None:
+    # From 80 to 60 in before it, within 10 in: a wall and a point differ by 0.2 in at most, a third of the noise.
+    rng = np.random.default_rng(3)
+    face = np.stack((rng.uniform(-20.0, 0.0, count), np.linspace(-5.0, 5.0, count)), axis=-1)
+    target = np.array((60.0, 0.0))
+    range_in = np.hypot(*(target - face).T) + 0.6 * rng.standard_normal(count)
+    free = FreeEchoes(Sensors(face, np.zeros_like(face), np.zeros(count), range_in), np.full(count, 0.7), rays=False)
+    assert _decide(free, target, False)[0] is None
+    fit, is_wall, _ = _decide(free, target, False, with_doubtful=True)
+    assert not is_wall
+    assert (fit is not None) is is_point
+    if fit is not None:
+        # Across the view a base of 10 in tells little.
+        assert (np.abs(fit.feature - target) < (0.5, 10.0)).all()
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -266,6 +284,27 @@ def test_derivative_of_an_end_agrees_with_differences() -> None:
     assert end_derivative(walls, points, 0, np.array((500.0, 500.0))) is None
 
 
+def test_a_point_that_is_hardly_known_leaves_the_walls_known(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of some echoes from the same direction, which tell its distance and not where it is across.
+    made, echoes = estimate.copy(), estimate.echoes_of(0)[:6]
+    spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)[2][:, 0]
+    made.add_point(spots.mean(axis=0))
+    feature = made.assignment.feature.copy()
+    feature[echoes] = made.state.features - 1
+    made.assignment = replace(made.assignment, feature=feature)
+    covariance = made.problem.normal_equations(made.state, made.assignment).border_covariance()
+    row = 2 * (made.state.features - 1)
+    assert np.sqrt(np.trace(covariance[row : row + 2, row : row + 2])) > 3.0
+    known, now = extract_walls(estimate), extract_walls(made)
+    np.testing.assert_allclose([wall.std_in for wall in now], [wall.std_in for wall in known], rtol=0.15)
+    np.testing.assert_allclose([wall.std_rad for wall in now], [wall.std_rad for wall in known], rtol=0.15)
+    # In a fit in which all displacements weigh the same it moves them.
+    monkeypatch.setattr(walls, "GAUGE_STEPS", 1)
+    assert extract_walls(made)[0].std_rad > 2.0 * known[0].std_rad
+
+
 def test_the_only_wall_of_a_map_can_be_written(room: LearnedMap) -> None:
     # The best rigid fit leaves nothing of its error.
     alone = replace(room, walls=(replace(room.walls[0], std_in=0.0),))
@@ -314,8 +353,12 @@ def test_faces_of_a_thick_wall_stay_apart() -> None:
     wall = ((36.0, 47.5), (84.0, 47.5), (84.0, 52.5), (36.0, 52.5))
     found = learn(drive(2, outlines=(ROOM, wall)))
     # In the frame of the first pose, (25, 25).
-    faces = sorted(float(wall.ends[:, 1].mean()) for wall in found.walls if np.abs(wall.ends[:, 1] - 25.0).max() < 8.0)
+    own = [wall for wall in found.walls if np.abs(wall.ends[:, 1] - 25.0).max() < 8.0]
+    faces = sorted(float(wall.ends[:, 1].mean()) for wall in own if wall.length_in > 10.0)
     np.testing.assert_allclose(faces, (22.5, 27.5), atol=0.8)
+    # One end, whose corners are both known, closes it at right angles.
+    (end,) = (wall for wall in own if wall.length_in <= 10.0)
+    np.testing.assert_allclose(end.ends[:, 0], (59.0, 59.0), atol=0.8)
     assert found.reason_to_refuse() == ""
 
 

@@ -11,7 +11,17 @@ from scipy.optimize import minimize_scalar
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate, _hidden_points, _runs, assign, growth_of
+from localization.mapping.association import (
+    MapEstimate,
+    Mask,
+    _hidden_points,
+    _runs,
+    assign,
+    ends_of_parts,
+    growth_of,
+    parts_of,
+    sides_of,
+)
 from localization.mapping.consistency import compare_returns, late_scores
 from localization.mapping.learn import part_late_points, part_points
 from localization.mapping.live import LiveMapper, walls_and_posts
@@ -22,6 +32,7 @@ from localization.mapping.problem import (
     ROBUST_LIMIT,
     Assignment,
     MapProblem,
+    Sensors,
     robust_cost,
     robust_weight,
     sensors_at,
@@ -73,18 +84,26 @@ def test_walls_that_face_a_place_were_measured_from_its_side(estimate: MapEstima
     assert len(walls_and_posts(whole, beyond)) == len(walls_and_posts(whole, inside)) - 1
 
 
-def corners_of(
-    walls: Floats, extents: Floats, sides: Floats, points: Floats, like: MapEstimate
-) -> set[tuple[int, int]]:
-    """Return the pairs of a point and a face that `_hidden_points` finds in a made-up map."""
+def hidden_from(place: tuple[float, float], made: MapEstimate, turn: float = 0.0) -> set[tuple[int, int]]:
+    """Return the pairs of a point and a face that hides it from a place, which is turned, in a made-up map."""
+    places = rotate(np.array([place]), np.array([turn]))
+    hidden = _hidden_points(made)
+    is_back = sides_of(places, made.state.walls) * made.sides < 0.0
+    hides = hidden.hides(places, is_back, made.state.walls)[0]
+    return set(zip(hidden.points[hides].tolist(), hidden.faces[hides].tolist(), strict=True))
+
+
+def made_map(like: MapEstimate, walls: Floats, extents: Floats, sides: Floats, points: Floats) -> MapEstimate:
+    """Return a map of walls (w, 2), measured along all of their extents, and points."""
     made = like.copy()
     made.state = replace(like.state, walls=walls, points=points)
     made.extents, made.sides = extents, sides
-    return set(zip(*(indices.tolist() for indices in _hidden_points(made)), strict=True))
+    made.runs = np.column_stack((np.arange(len(walls)), extents))
+    return made
 
 
 @pytest.mark.parametrize(("other", "hides"), [
-    ((0.0, 50.0), False),  # behind the face: the corner of a table, seen from both sides
+    ((0.0, 50.0), False),  # behind the face: the corner of a table, seen from beside it
     ((-50.0, 0.0), True),  # in front of it: the corner of a room
     ((-50.0, 50.0), True),  # on both sides: the corners of two rooms, on one wall
     ((-50.0, -20.0), False),  # another wall, which ends before it
@@ -96,17 +115,21 @@ def test_corner_of_a_room_is_hidden_by_its_walls(
     # The face x = 0 from y = 0 upwards, measured from x < 0, and a wall along y = 0; all turned.
     walls = np.array([(turn, 0.0), (turn - 0.5 * np.pi, 0.0)])
     extents = np.array([(0.0, 40.0), other])
-    found = corners_of(walls, extents, np.array([-1.0, 0.0]), np.zeros((1, 2)), estimate)
-    assert ((0, 0) in found) is hides
+    made = made_map(estimate, walls, extents, np.array([-1.0, 0.0]), np.zeros((1, 2)))
+    assert ((0, 0) in hidden_from((10.0, -20.0), made, turn)) is hides
+    # Beside the wall as beyond it: it may be too thin to have two edges. Never from in front of it.
+    assert ((0, 0) in hidden_from((10.0, 20.0), made, turn)) is hides
+    assert (0, 0) not in hidden_from((-10.0, 20.0), made, turn)
     # Not where no face is known.
-    assert not corners_of(walls, extents, np.zeros(2), np.zeros((1, 2)), estimate)
+    made.sides = np.zeros(2)
+    assert not hidden_from((10.0, -20.0), made, turn) | hidden_from((10.0, 20.0), made, turn)
 
 
 @pytest.mark.parametrize(("others", "hidden"), [
     ([], set()),  # the end of a face alone: the corner of a box, seen from beside it
     ([130.0], {100.0, 130.0}),  # both edges of a door
     ([50.0], {50.0}),  # on the face
-    ([-12.0], {-12.0}),  # in its plane, but for what is nearer than a door
+    ([-30.0], {-30.0}),  # in its plane, across a door from where it begins
     ([150.0], set()),  # too far away
 ])  # fmt: skip
 @pytest.mark.parametrize("turn", [0.0, 1.1])
@@ -114,47 +137,109 @@ def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
     estimate: MapEstimate, others: list[float], hidden: set[float], turn: float
 ) -> None:
     # A face of 100 in, which may go on by 40 in, and points along it from its begin at the foot of the origin.
-    c, s = np.cos(turn), np.sin(turn)
     at = [100.0, *others]
-    made = estimate.copy()
-    points = np.array([(5.0 * c - t * s, 5.0 * s + t * c) for t in at])
     # One 4.5 in behind it is another edge.
-    points = np.concatenate((points, [(9.5 * c - 50.0 * s, 9.5 * s + 50.0 * c)]))
-    made.state = replace(estimate.state, walls=np.array([(turn, 5.0)]), points=points)
-    made.extents, made.sides = np.array([(0.0, 100.0)]), np.array([-1.0])
-    found, faces = _hidden_points(made)
-    assert {at[point] for point in found.tolist()} == hidden
-    assert not faces.any()
+    points = rotate(np.array([*((5.0, t) for t in at), (9.5, 50.0)]), np.full(len(at) + 1, turn))
+    made = made_map(estimate, np.array([(turn, 5.0)]), np.array([(0.0, 100.0)]), np.array([-1.0]), points)
+    # From behind the middle of a door on either side of the face.
+    found = hidden_from((30.0, 115.0), made, turn) & hidden_from((30.0, -15.0), made, turn)
+    beyond = {point for point, _ in hidden_from((30.0, 115.0 if 130.0 in at else -15.0), made, turn)}
+    assert {at[point] for point, _ in found} <= hidden
+    assert {at[point] for point in beyond} - {100.0} == hidden - {100.0}
     # A wall that was measured from both sides hides nothing.
     made.sides = np.zeros(1)
-    assert not len(_hidden_points(made)[0])
+    assert not hidden_from((30.0, 115.0), made, turn)
+
+
+@pytest.mark.parametrize("turn", [0.0, 2.5])
+def test_edge_of_a_door_is_seen_past_the_other_edge_of_its_wall(estimate: MapEstimate, turn: float) -> None:
+    # A wall from x = 0 to 5 that ends at y = 100, of which the face x = 0 was measured, and the other post of the door.
+    points = rotate(np.array([(0.0, 100.0), (0.0, 136.0)]), np.full(2, turn))
+    walls, extents = np.array([(turn, 0.0)]), np.array([(0.0, 100.0)])
+    made = made_map(estimate, walls, extents, np.array([-1.0]), points)
+    # 1. While nothing else is known, what is measured from behind may be the other edge, 5 in nearer.
+    assert hidden_from((30.0, 118.0), made, turn) == {(0, 0), (1, 0)}
+    # 2. With the other edges both posts are seen from behind the door.
+    others = rotate(np.array([(5.0, 100.0), (5.0, 136.0)]), np.full(2, turn))
+    made.state = replace(made.state, points=np.concatenate((points, others)))
+    assert not hidden_from((30.0, 118.0), made, turn)
+    # 3. Each is hidden by its own wall.
+    assert hidden_from((30.0, 80.0), made, turn) == {(0, 0)}
+    assert hidden_from((30.0, 150.0), made, turn) == {(1, 0)}
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.3])
+def test_the_first_echo_is_that_of_the_wall_not_of_the_corner_behind(estimate: MapEstimate, turn: float) -> None:
+    # Beside a wall at 60 in, 10 in before its end: the end is at 60.83 in, 9.5 degrees off the axis.
+    points = rotate(np.array([(60.0, 40.0)]), np.array([turn]))
+    made = made_map(estimate, np.array([(turn, 60.0)]), np.array([(-40.0, 40.0)]), np.zeros(1), points)
+    made.expects_first_echoes = True
+    std_in = float(estimate.problem.trajectory.std_in[0])
+
+    def features(readings: Floats) -> list[int]:
+        places = rotate(np.tile((0.0, 30.0), (len(readings), 1)), np.full(len(readings), turn))
+        sonars = Sensors(places, np.zeros_like(places), np.full(len(readings), turn), readings)
+        found: list[int] = assign(made, np.zeros(len(readings), dtype=np.intp), sonars)[0].tolist()
+        return found
+
+    # 1. An echo nearer to the range of the end is the wall's all the same, until it is far off.
+    far_in = 60.0 + 2.6 * std_in
+    assert features(np.array((60.0, 60.0 + 0.9 * std_in, far_in))) == [0, 0, 1]
+    # 2. So the echoes of the wall keep their mean, within 4 standard deviations of it.
+    readings = 60.0 + std_in * np.random.default_rng(1).standard_normal(4000)
+    of_wall = readings[np.array(features(readings)) == 0]
+    assert abs(of_wall.mean() - 60.0) < 4.0 * std_in / 4000**0.5
+    # 3. Where the wall was not measured it need not have returned one, nor while the map grows.
+    made.runs = np.array([(0.0, -40.0, 37.0)])
+    assert features(np.array((60.0, 60.0 + 0.9 * std_in))) == [0, 1]
+    made.runs, made.expects_first_echoes = np.array([(0.0, -40.0, 40.0)]), False
+    assert features(np.array((60.0, 60.0 + 0.9 * std_in))) == [0, 1]
+
+
+def test_ends_of_parts_are_where_walls_begin_and_end() -> None:
+    # A wall with a gap from 40 to 80, one without runs, and points along both.
+    runs, extents = np.array([(0.0, 0.0, 40.0), (0.0, 80.0, 120.0)]), np.array([(0.0, 120.0), (10.0, 15.0)])
+    along = np.array((-30.0, -5.0, 3.0, 20.0, 38.0, 45.0, 60.0, 79.0, 100.0, 119.0))
+    parts = parts_of(runs, extents)
+    found = ends_of_parts(parts, np.stack((along, along), axis=-1))
+    np.testing.assert_array_equal(found[:, 0], (0, 1, 1, 0, -1, -1, 0, 1, 0, -1))
+    # Of a short one each half belongs to its nearer end.
+    near = np.array((9.0, 12.0, 13.0, 16.0))
+    np.testing.assert_array_equal(ends_of_parts(parts, np.stack((near, near), axis=-1))[:, 1], (1, 1, -1, -1))
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0])
 def test_an_edge_between_two_faces_is_on_the_nearer_one(estimate: MapEstimate, turn: float) -> None:
-    # The faces x = 0, measured from x < 0, and x = 4.7, measured from x > 0, and points at x = 1 and 3.7 between both.
-    walls, extents = np.array([(turn, 0.0), (turn, 4.7)]), np.array([(0.0, 100.0), (0.0, 100.0)])
-    c, s = np.cos(turn), np.sin(turn)
-    points = np.array([(x * c - 50.0 * s, x * s + 50.0 * c) for x in (1.0, 3.7)])
-    assert corners_of(walls, extents, np.array([-1.0, 1.0]), points, estimate) == {(0, 0), (1, 1)}
+    # The faces x = 0, measured from x < 0, and x = 3.7, from x > 0, and points at x = 0.8 and 2.9 between both.
+    walls, extents = np.array([(turn, 0.0), (turn, 3.7)]), np.array([(0.0, 100.0), (0.0, 100.0)])
+    points = rotate(np.array([(0.8, 50.0), (2.9, 50.0)]), np.full(2, turn))
+    behind = {place: made_map(estimate, walls, extents, np.array([-1.0, 1.0]), points) for place in (-30.0, 30.0)}
+    found = set().union(*(hidden_from((x, 50.0), made, turn) for x, made in behind.items()))
+    assert found == {(0, 0), (1, 1)}
     # Two faces that are measured from the same side hide both.
-    both = {(0, 0), (0, 1), (1, 0), (1, 1)}
-    assert corners_of(walls, extents, np.array([-1.0, -1.0]), points, estimate) == both
+    same = made_map(estimate, walls, extents, np.array([-1.0, -1.0]), points)
+    assert hidden_from((30.0, 50.0), same, turn) == {(0, 0), (0, 1), (1, 0), (1, 1)}
     # Turned by half a turn it is the same line, with the other side.
     turned = walls * (1.0, -1.0) + np.array([(np.pi, 0.0), (np.pi, 0.0)])
     back = np.array([(-100.0, 0.0), (-100.0, 0.0)])
-    assert corners_of(turned, back, np.array([1.0, -1.0]), points, estimate) == {(0, 0), (1, 1)}
+    made = made_map(estimate, turned, back, np.array([1.0, -1.0]), points)
+    assert hidden_from((-30.0, 50.0), made, turn) | hidden_from((30.0, 50.0), made, turn) == {(0, 0), (1, 1)}
+
+
+def every(feet: Floats) -> Mask:
+    """Return that all spots are of the wall alone."""
+    return np.ones(len(feet), dtype=np.bool_)
 
 
 def test_path_opens_the_wall_that_it_crosses() -> None:
     feet = np.linspace(0.0, 100.0, 101)
-    found = _runs(3, feet, np.zeros(0), np.array([50.0]), 9.0)
+    found = _runs(3, feet, every(feet), np.zeros(0), np.array([50.0]), 9.0)
     np.testing.assert_allclose(found, [(3, 0.0, 40.0), (3, 60.0, 100.0)])
-    np.testing.assert_allclose(_runs(3, feet, np.zeros(0), np.zeros(0), 9.0), [(3, 0.0, 100.0)])
+    np.testing.assert_allclose(_runs(3, feet, every(feet), np.zeros(0), np.zeros(0), 9.0), [(3, 0.0, 100.0)])
     # Also where the nearest spots are farther from it than the robot is wide.
     apart = np.concatenate((np.linspace(0.0, 40.0, 9), np.linspace(58.0, 100.0, 9)))
-    assert len(_runs(3, apart, np.zeros(0), np.array([50.0]), 5.0)) == 2
-    assert len(_runs(3, apart, np.zeros(0), np.zeros(0), 5.0)) == 1
+    assert len(_runs(3, apart, every(apart), np.zeros(0), np.array([50.0]), 5.0)) == 2
+    assert len(_runs(3, apart, every(apart), np.zeros(0), np.zeros(0), 5.0)) == 1
 
 
 @pytest.mark.parametrize(("middle", "is_open"), [
@@ -166,18 +251,21 @@ def test_spots_beside_the_posts_of_a_door_do_not_close_it(middle: list[float], i
     # A door from 30 to 67 in; echoes of its posts were taken for the wall up to 8 in inside of it, 21 in apart.
     feet = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(59.0, 100.0, 20), middle)))
     nowhere = np.zeros(0)
-    found = _runs(3, feet, np.array([30.0, 67.0]), nowhere, 9.0)
+    found = _runs(3, feet, every(feet), np.array([30.0, 67.0]), nowhere, 9.0)
     assert (len(found) == 2) is is_open
+    # Nor do any whose ranges fit the posts as well.
+    of_wall = (feet < 40.0) | (feet > 57.0)
+    assert len(_runs(3, feet, of_wall, np.array([30.0, 67.0]), nowhere, 9.0)) == 2
     if is_open:
         assert found[0, 2] <= 30.0
         assert found[1, 1] >= 67.0
     # Nor a pier of 21 in between two doors, whose spots are 3 in apart.
     pier = np.arange(60.0, 82.0, 3.0)
-    np.testing.assert_allclose(_runs(3, pier, np.array([60.0, 81.0]), nowhere, 9.0), [(3, 60.0, 81.0)])
+    np.testing.assert_allclose(_runs(3, pier, every(pier), np.array([60.0, 81.0]), nowhere, 9.0), [(3, 60.0, 81.0)])
     # Posts farther apart than those of a door, or nearer than the robot is wide, open nothing.
     narrow = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(48.0, 100.0, 20))))
-    assert len(_runs(3, narrow, np.array([35.0, 50.0]), nowhere, 9.0)) == 1
-    assert len(_runs(3, narrow, np.array([0.0, 100.0]), nowhere, 9.0)) == 1
+    assert len(_runs(3, narrow, every(narrow), np.array([35.0, 50.0]), nowhere, 9.0)) == 1
+    assert len(_runs(3, narrow, every(narrow), np.array([0.0, 100.0]), nowhere, 9.0)) == 1
 
 
 def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate) -> None:
@@ -328,7 +416,7 @@ def test_a_wall_goes_on_less_beyond_one_that_it_meets(
     normal = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
     walls = np.stack((angle, (normal * ends[:, 0]).sum(axis=1)), axis=-1)
     extents = np.sort((ends * np.stack((-normal[:, 1], normal[:, 0]), axis=-1)[:, None]).sum(axis=2), axis=1)
-    found = growth_of(walls, extents)[0]
+    found = growth_of(walls, extents, np.zeros((0, 2)))[0]
     # The normal turned left is against the direction in which the ends are given.
     np.testing.assert_allclose(np.sort(found), np.sort(expected), atol=1e-9)
     first_is_low = (ends[0, 0] @ np.array((-normal[0, 1], normal[0, 0]))) < extents[0].mean()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,14 @@ from localization.filters.belief import Floats
 from localization.mapping import association, learn, output, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import join_points, prune, swallow
+from localization.mapping.learn import close_wall_ends, join_points, prune, swallow
+from localization.mapping.measurements import rotate
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, Levels
 from localization.mapping.walls import (
     extract_walls,
     find_outlines,
+    find_wall_ends,
     free_paths,
     pass_through,
     passed_walls,
@@ -410,3 +413,91 @@ def test_derivatives_of_a_surface_are_difference_quotients(estimate: MapEstimate
                 changed.state = replace(found.state, walls=moved, levels=replace(levels, value_in=values))
                 ends.append(surface_lines(changed)[0][number])
             np.testing.assert_allclose(by_unknowns[number, :, column], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
+
+
+# Ends of thick walls.
+
+CORNERS = ((0.0, 100.0), (5.0, 100.3))
+NOTHING = np.zeros((0, 2)), np.zeros((0, 2))
+
+
+def thick_wall(
+    like: MapEstimate, turn: float, points: Sequence[tuple[float, float]], sides: tuple[float, float] = (-1.0, 1.0)
+) -> MapEstimate:
+    """Return a map of the faces x = 0 and x = 5 from y = 0 to 100, measured from outside, and points, all turned."""
+    made = like.copy()
+    places = rotate(np.array(points).reshape(-1, 2), np.full(len(points), turn))
+    made.state = replace(like.state, walls=np.array([(turn, 0.0), (turn, 5.0)]), points=places)
+    made.extents, made.sides = np.array([(0.0, 98.0), (0.0, 97.0)]), np.array(sides)
+    made.runs = np.array([(0.0, 0.0, 98.0), (1.0, 0.0, 97.0)])
+    return made
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0, -2.5])
+def test_a_thick_wall_ends_where_both_faces_do(estimate: MapEstimate, turn: float) -> None:
+    (span,) = find_wall_ends(thick_wall(estimate, turn, CORNERS), NOTHING)
+    assert {span.one, span.other} == {0, 1}
+    assert span.is_wall
+    np.testing.assert_allclose(rotate(span.ends.reshape(2, 2), np.full(2, -turn)), CORNERS, atol=1e-9)
+    # The other ends of the faces are not known.
+    both = [*CORNERS, (0.0, 0.5), (5.0, -0.5)]
+    assert {(span.one, span.other) for span in find_wall_ends(thick_wall(estimate, turn, both), NOTHING)} == {
+        (0, 1), (2, 3)}  # fmt: skip
+    # Of a corner that is two points the squarest end counts.
+    (span,) = find_wall_ends(thick_wall(estimate, turn, [(0.0, 101.2), (0.2, 100.2), CORNERS[1]]), NOTHING)
+    assert {span.one, span.other} == {1, 2}
+
+
+@pytest.mark.parametrize(("points", "sides"), [
+    (((0.0, 100.0), (5.0, 104.0)), (-1.0, 1.0)),  # not opposite one another
+    (((0.0, 50.0), (5.0, 50.0)), (-1.0, 1.0)),  # on the faces
+    (((0.0, 100.0), (16.0, 100.0)), (-1.0, 1.0)),  # too far apart
+    (CORNERS, (1.0, -1.0)),  # a slit of 5 in
+    (CORNERS, (-1.0, 0.0)),  # measured from both sides: no face
+    (CORNERS, (-1.0, -1.0)),  # one wall, 5 in behind another
+])  # fmt: skip
+def test_what_is_no_end_of_a_thick_wall(
+    estimate: MapEstimate, points: tuple[tuple[float, float], ...], sides: tuple[float, float]
+) -> None:
+    assert find_wall_ends(thick_wall(estimate, 0.7, points, sides), NOTHING) == []
+
+
+def test_faces_on_opposite_sides_of_a_door_have_no_common_end(estimate: MapEstimate) -> None:
+    # The one face ends at y = 100, and the other one begins there.
+    made = thick_wall(estimate, 0.0, CORNERS)
+    made.extents, made.runs = np.array([(0.0, 98.0), (102.0, 200.0)]), np.array([(0.0, 0.0, 98.0), (1.0, 102.0, 200.0)])
+    assert find_wall_ends(made, NOTHING) == []
+
+
+def test_nothing_ends_at_a_junction_or_where_sound_has_passed(estimate: MapEstimate) -> None:
+    made = thick_wall(estimate, 0.0, CORNERS)
+    # 1. Two paths between the corners; one may be a mistake.
+    starts, ends = np.array([(2.0, 120.0), (3.0, 120.0)]), np.array([(2.0, 90.0), (3.0, 90.0)])
+    assert find_wall_ends(made, (starts, ends)) == []
+    assert len(find_wall_ends(made, (starts[:1], ends[:1]))) == 1
+    # 2. The wall y = 100, which goes on beyond the corner: the faces meet it.
+    made.add_wall(np.array((np.pi / 2.0, 100.1)), np.array((-60.0, -5.0)), -1.0)
+    assert find_wall_ends(made, NOTHING) == []
+    # One that was measured between the corners alone is the end itself.
+    made.narrow(2, np.array((-5.0, 0.0)))
+    assert len(find_wall_ends(made, NOTHING)) == 1
+
+
+def test_ends_of_thick_walls_are_walls_of_the_map(estimate: MapEstimate) -> None:
+    # Beside the room of the map, so that nothing else changes.
+    made, first = estimate.copy(), len(estimate.state.walls)
+    points = len(made.state.points)
+    for x, side in ((-100.0, -1.0), (-95.0, 1.0)):
+        made.add_wall(np.array((0.0, x)), np.array((0.0, 60.0)), side)
+        made.add_point(np.array((x, 60.0)))
+    assert close_wall_ends(made) == 1
+    assert len(made.state.walls) == first + 3
+    assert {(points, first + 2), (points + 1, first + 2)} <= set(map(tuple, made.assignment.ties.tolist()))
+    np.testing.assert_allclose(np.abs(np.sin(made.state.walls[-1, 0])), 1.0, rtol=1e-4)
+    pieces = [piece for piece in extract_walls(made, with_accuracy=False) if piece.line == first + 2]
+    corners = made.state.points[points:]
+    np.testing.assert_allclose([np.sort(piece.ends, axis=0) for piece in pieces], [corners], atol=0.05)
+    angle = made.state.walls[-1, 0]
+    np.testing.assert_allclose(made.extents[-1], np.sort(corners @ (-np.sin(angle), np.cos(angle))), atol=0.01)
+    # Once is enough.
+    assert close_wall_ends(made) == 0
