@@ -8,7 +8,7 @@ for each leg, from the map as it is.
 
     place        worth            where
     frontier     much             free cells beside unknown ones that no wall explains, by how much is unknown
-    open end     much             6 in beyond the end of a wall, 18 in in front of it
+    open end     much             6 in beyond the end of a wall, 18 in in front of it, and on along the wall
     span         much             18 in before the middle of two points between which it is open whether there is a wall
     vertex       then             around a point at which fewer than two walls end, where the robot has not looked from
     coverage     then             cells farther than 20 in from where the robot has been
@@ -94,6 +94,8 @@ its worth. A niche between furniture has few, a door to a room that was not ente
 LOOK_IN, SIGHT_IN = 18.0, 44.0
 """A frontier is looked at from such distances: a wall nearer than 6 in to the body cannot be measured."""
 END_AHEAD_IN, END_ASIDE_IN = 6.0, 18.0
+ALONG_WALL_IN: Final = 48.0
+"""The path to an open end goes on along the wall for this far, as long as it is free."""
 VERTEX_IN: Final = 17.0
 VERTEX_DIRECTIONS, VERTEX_SEEN_IN = 8, 30.0
 """Directions from which a vertex is looked at, and how far off the robot may have been there."""
@@ -132,8 +134,8 @@ SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
 WORTH: Final = {"frontier": 1.5, "end": 3.0, "span": 2.0, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
 MEASURING_PACE, DRIVEN_FRACTION, LONG_IN = 2.0 / 3.0, 0.7, 80.0
-"""Fraction of the top speed, but to frontiers before as much as can be unknown, where so much of the path has been
-driven before, and on paths longer than this."""
+"""Fraction of the top speed, but while there may be a room to enter, where so much of the path has been driven before,
+and on paths longer than this."""
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
 SAME_FRONTIER_IN, STAY = 12.0, 1.5
 """Frontiers nearer to one another are one; that to which the robot is driving is worth so many times more, or it turns
@@ -169,6 +171,8 @@ class Place:
     """The cell to which the robot drives for it."""
     tried_s: float = 0.0
     """When it was tried."""
+    along: Point = (0.0, 0.0)
+    """Direction in which the wall of an open end may go on."""
 
 
 @dataclass(slots=True)
@@ -296,7 +300,7 @@ class Explorer:
         self._blocked_at: Point = inf, inf
         self._revisions = 0
         self._free_directions: list[float] = []
-        self._is_last = False
+        self._is_last = self._has_rooms = False
         self._optional_in = 0.0
         self._solution = _Solution()
         self.places: list[Place] = []
@@ -333,9 +337,8 @@ class Explorer:
     @property
     def _pace(self) -> float:
         """Fraction of the top speed for the leg: less where walls are to be measured, as short ones get few echoes."""
-        place = self._place
-        is_far = place is not None and place.kind == "frontier" and place.size == MAX_SIZE
-        return 1.0 if is_far or (place is not None and self._is_fast) else MEASURING_PACE
+        is_fast = self._is_fast or self._has_rooms
+        return 1.0 if self._place is not None and is_fast else MEASURING_PACE
 
     def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
         """Return a leg to where the robot was ESCAPE_IN ago: there is nothing on it; none at the beginning."""
@@ -601,7 +604,8 @@ class Explorer:
         self.places, self._optional_in = [], 0.0
         choices, here = self._choices(grid, mapper, pose)
         # 1. Cells without anything, and corners, wait while there may be a room to enter.
-        if any(choice.place.kind == "frontier" and choice.place.size >= ROOM_SIZE for choice in choices):
+        self._has_rooms = any(c.place.kind == "frontier" and c.place.size >= ROOM_SIZE for c in choices)
+        if self._has_rooms:
             choices = [choice for choice in choices if choice.place.kind not in ("coverage", "corner")]
         # 2. The best by distance, with the turn before the leg.
         best, chosen = 0.0, None
@@ -622,6 +626,8 @@ class Explorer:
             onward, self._optional_in = self._onward(grid, path[-1], self._place)
             is_here = len(path) == 1 and dist(path[0], pose[:2]) < HERE_IN
             path = onward if onward and is_here else path + onward
+        elif chosen.place.kind == "end":
+            path += self._beside_wall(grid, (float(pose[0]), float(pose[1])), path, chosen.place)
         return path
 
     def _choices(self, grid: Grid, mapper: LiveMapper, pose: Floats) -> tuple[list[_Choice], float]:
@@ -699,6 +705,22 @@ class Explorer:
         is_known = grid.reached[cells[:, 0], cells[:, 1]]
         known = len(points) if is_known.all() else int(is_known.argmin())
         return [(float(points[-1, 0]), float(points[-1, 1]))], (len(points) - known) * CELL_IN
+
+    def _beside_wall(self, grid: Grid, start: Point, path: list[Point], end: Place) -> list[Point]:
+        """Return where the path to an open end goes on along the wall, as far as it is free, if it leads that way.
+
+        At the end itself only some inches more of the wall are measured.
+        """
+        goal, along = np.array(path[-1]), np.array(end.along)
+        came = goal - np.array(path[-2] if len(path) > 1 else start)
+        if came @ along < 0.0:
+            return []
+        points = goal + np.arange(1.0, ALONG_WALL_IN / CELL_IN)[:, None] * CELL_IN * along
+        cells = grid.cells(points)
+        at = cells[:, 0], cells[:, 1]
+        is_free = grid.reached[at] & (grid.space[at] > self._body_in + COMFORT_IN)
+        count = len(points) if is_free.all() else int(is_free.argmin())
+        return [(float(points[count - 1, 0]), float(points[count - 1, 1]))] if count * CELL_IN > HERE_IN else []
 
     def _cells_to_look_from(
         self, place: Place, tries: int, space: Floats, away: Floats, echo_in: Floats
@@ -963,7 +985,7 @@ def _end_places(estimate: MapEstimate, pieces: list[Piece]) -> list[Place]:
             normal = np.array((-along[1], along[0]))
             for side in (END_ASIDE_IN, -END_ASIDE_IN):
                 x, y = here + END_AHEAD_IN * along + side * normal
-                found.append(Place("end", float(x), float(y)))
+                found.append(Place("end", float(x), float(y), along=(float(along[0]), float(along[1]))))
     # 2. Vertices, in directions from which the robot has not looked.
     turns = np.arange(VERTEX_DIRECTIONS) * (2.0 * np.pi / VERTEX_DIRECTIONS)
     for point in estimate.state.points:

@@ -10,7 +10,7 @@ robot as well.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
@@ -54,7 +54,8 @@ GUARD_S: Final = 2.0
 """Readings considered by the guard: two turns of the ring, so that one bad reading of a sonar is not the only one."""
 NEAR_S, NEAR_IN = 4.0, 24.0
 """The same of a reading of at most this length while its sonar measures nothing: the end of a wall that was measured
-may return no echo from nearer. A single bad reading of a sonar that measures nothing is one of these."""
+may return no echo from nearer. A single bad reading of a sonar that measures nothing is one of these. If two agree, the
+sonar may also measure what is behind: the wall at which a box stands, past the edge of the box."""
 CONFIRMED_S, CONFIRMED_IN, NEAR_BY_IN = 30.0, 2.0, 6.0
 """If two readings one after the other agree within CONFIRMED_IN, that is remembered for CONFIRMED_S, while the robot is
 within NEAR_BY_IN of where it measured them: it may stand there, and turn."""
@@ -87,18 +88,19 @@ BLIND_IN: Final = 8.0
 """Beside a wall nearer than sonars measure a leg goes on for this far: at up to 30 degrees off its direction the body
 comes 4 in nearer, of the 5.3 in that it has."""
 BLIND_IN_S: Final = 3.0
-GAP_IN_S: Final = 2.0
-GAP_STEPS_IN: Final = (2.0, 4.0, 6.0)
-"""Through a gap narrower than sonars measure: speed, and how far ahead the map must show space."""
-GAP_SPACE_IN: Final = 1.2
+GAP_IN_S, DOOR_IN_S = 2.0, 4.5
+GAP_STEPS_IN: Final = (2.0, 4.0, 6.0, 8.0)
+"""Speeds through a gap narrower than sonars measure, and through a wider one: there what has come into the way since
+is measured in time (OPTIONAL_IN_S). How far ahead the map must show space: up to the third, or all."""
+GAP_SPACE_IN, DOOR_SPACE_AHEAD_IN = 1.2, 3.0
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
 MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 29))
 """Where the map is looked up: as far as the robot drives in REACTION_S at 9 in/s."""
 DOOR_SPACE_IN: Final = 1.2
 """Space beside the path in a door that the map does not have: as much as paths leave."""
-KNOWN_IN: Final = 8.0
-"""The map must show a wall this near to the body: that is what the sonars cannot measure."""
+KNOWN_IN: Final = 12.0
+"""The map must show a wall this near to the body: that of a door, or one that the sonars cannot measure."""
 SHORT_IN: Final = 6.0
 """Readings up to this above the lower limit must be of walls of the map as well."""
 NEAR_CONE_RAD: Final = radians(6.0)
@@ -209,19 +211,18 @@ class SpeedGuard:
         """Take a reading into account, of a sonar with this axis at an encoder pose."""
         x, y = float(encoders[0]), float(encoders[1])
         c, s = cos(axis_rad), sin(axis_rad)
-        # 1. Readings that are too old. The near ones of a sonar that is silent since are kept for longer.
+        # 1. Readings that are too old. The near ones that have vanished since are kept for longer.
         while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
             wall = self._walls.popleft()
-            if wall.reading_in <= NEAR_IN and self._is_silent(wall.axis_rad):
+            if wall.reading_in <= NEAR_IN and self._has_vanished(wall, self._walls, encoders):
                 self._near.append(wall)
-        has_echo = reading_in < self._longest_in
-        self._near = [
-            wall for wall in self._near
-            if self._is_remembered(wall, clock_s, (x, y))
-            and not (has_echo and self._is_same_sonar(wall.axis_rad, axis_rad))
-        ]  # fmt: skip
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
+        self._near = [
+            near for near in self._near
+            if self._is_remembered(near, clock_s, (x, y))
+            and (not self._is_same_sonar(near.axis_rad, axis_rad) or self._has_vanished(near, [wall], encoders))
+        ]  # fmt: skip
         same_sonar = (before for before in reversed(self._walls) if self._is_same_sonar(before.axis_rad, axis_rad))
         before = next(same_sonar, None)
         if before is not None and before.reading_in < self._longest_in:
@@ -244,10 +245,19 @@ class SpeedGuard:
         """Return True if two axes are of one sonar, or of two of which the one looks now where the other did."""
         return abs(angle_difference(one_rad, other_rad)) < pi / self._sonars
 
-    def _is_silent(self, axis_rad: float) -> bool:
-        """Return True if the sonar with this axis has fired in the last GUARD_S and measured nothing."""
-        readings = [wall.reading_in for wall in self._walls if self._is_same_sonar(wall.axis_rad, axis_rad)]
-        return bool(readings) and min(readings) >= self._longest_in
+    def _has_vanished(self, near: _AcrossAxis, later: Iterable[_AcrossAxis], encoders: Floats) -> bool:
+        """Return True if the sonar of a near wall has fired again, and measured nothing but what is behind it.
+
+        That is nothing at all, as a reading alone may be a bad one; for NEAR_S it may also be farther off than a wall
+        that is confirmed. Afterwards what stood there has gone.
+        """
+        readings = [wall for wall in later if self._is_same_sonar(wall.axis_rad, near.axis_rad)]
+        behind_in = near.range_from(encoders) + CONFIRMED_IN
+        return bool(readings) and all(
+            wall.reading_in >= self._longest_in
+            or (near.is_confirmed and wall.clock_s < near.clock_s + NEAR_S and wall.range_from(encoders) > behind_in)
+            for wall in readings
+        )
 
     def _is_remembered(self, wall: _AcrossAxis, clock_s: float, place: Point) -> bool:
         """Return True if a near wall whose sonar is silent still counts."""
@@ -535,15 +545,19 @@ class _Motion:
                 return moved_in
         return inf
 
-    def _fits(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> bool:
-        """Return True if the map shows space ahead, and what is too near for the sonars."""
+    def _gap_in_s(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> float:
+        """Return the speed in a gap of the map: 0 unless this shows space ahead, and all that the sonars measure near.
+
+        A reading counts as a wall that goes on for ever; the map tells that it ends at a door.
+        """
         if not mapper.is_sound or not len(walls := mapper.walls_facing(pose[:2])):
-            return False
+            return 0.0
         along = np.array((cos(direction_rad), sin(direction_rad)))
         ahead = pose[:2] + np.outer(GAP_STEPS_IN, along)
         is_near = wall_distances(pose[None, :2], walls)[0] < self._guard.body_in + KNOWN_IN
-        if not is_near or wall_distances(ahead, mapper.walls).min() <= self._guard.body_in + GAP_SPACE_IN:
-            return False
+        spaces = wall_distances(ahead, mapper.walls) - self._guard.body_in
+        if not is_near or spaces[:-1].min() <= GAP_SPACE_IN:
+            return 0.0
         # Each near reading must be of a wall of the map, not of one that it does not have yet.
         beams = self._guard.near_beams(encoders)
         faces = pose[:2] + rotate(beams[:, :2], np.full(len(beams), float(pose[2])))
@@ -551,7 +565,9 @@ class _Motion:
         off = nearest - faces[:, None]
         aside = wrap_angle(np.arctan2(off[..., 1], off[..., 0]) - beams[:, 2:3] - float(pose[2]))
         explains = (np.abs(aside) < HALF_CONE_RAD + NEAR_CONE_RAD) & (distances < beams[:, 3:] + GUARD_MARGIN_IN)
-        return bool(explains.any(axis=1).all())
+        if not explains.any(axis=1).all():
+            return 0.0
+        return DOOR_IN_S if spaces.min() > DOOR_SPACE_AHEAD_IN else GAP_IN_S
 
     def _give_up(self, pose: Floats, reason: str, back_rad: float) -> None:
         if self._leg is not None:
@@ -577,10 +593,11 @@ class _Motion:
             x, y = (encoders - self._blind_from)[:2].tolist()
             goes_on = x * cos(encoders[2] + back) + y * sin(encoders[2] + back) > 0.0
             allowed = 0.0 if goes_on and hypot(x, y) > BLIND_IN else min(allowed, BLIND_IN_S)
-        if allowed < GAP_IN_S and self._fits(pose, encoders, float(pose[2]) + back, mapper):
+        gap_in_s = self._gap_in_s(pose, encoders, float(pose[2]) + back, mapper) if allowed < DOOR_IN_S else 0.0
+        if gap_in_s > allowed:
             # Whatever the map shows, something is where a ray ended.
             of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
-            allowed = min(GAP_IN_S, of_spots_in / REACTION_S)
+            allowed = min(gap_in_s, of_spots_in / REACTION_S)
         # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
         of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S
         allowed, confirmed = min(allowed, of_map), min(confirmed, of_map)

@@ -388,6 +388,29 @@ def test_path_goes_on_through_a_frontier_as_far_as_there_is_space() -> None:
     assert fenced._onward(grid, (80.0, 48.0), Place("frontier", 80.0, 52.0)) == ([], 0.0)
 
 
+@pytest.mark.parametrize(("start", "along", "end_x"), [
+    ((20.0, 20.0), (1.0, 0.0), 94.0),  # 48 in along the wall
+    ((130.0, 20.0), (1.0, 0.0), None),  # it comes from there
+    ((20.0, 20.0), (0.0, 1.0), None),  # what is not known to be free
+    ((20.0, 20.0), (-1.0, 0.0), None),
+])  # fmt: skip
+def test_path_to_an_open_end_goes_on_along_the_wall(
+    monkeypatch: pytest.MonkeyPatch, start: Point, along: Point, end_x: float | None
+) -> None:
+    grid, explorer = frontier_grid()
+    pose, mapper = np.array((*start, 0.0)), NoMap()
+    mapper.poses = pose[None]
+    explorer.find_reach(grid, pose)
+    grid.echo_in = np.full(grid.free.shape, np.inf)
+    place = Place("end", 47.0, 25.0, along=along)
+    monkeypatch.setattr(explorer, "_candidates", lambda *_: [(place, 6.0)])
+    path = explorer._next_path(grid, cast("LiveMapper", mapper), pose)
+    assert path is not None
+    goal = [(47.0, 25.0)] if end_x is None else [(47.0, 25.0), (end_x, 25.0)]
+    np.testing.assert_allclose(path[-len(goal):], goal, atol=2.0)
+    assert explorer._optional_in == 0.0
+
+
 def test_exploration_goes_on_with_a_revised_map_before_it_ends(
     estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:

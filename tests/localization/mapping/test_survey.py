@@ -93,25 +93,30 @@ def test_near_wall_is_remembered_while_the_ring_turns() -> None:
         assert (made.free_in(STAND, 0.0) < 20.0) is is_remembered
 
 
-@pytest.mark.parametrize(("first_in", "moved_in", "after_s", "is_remembered"), [
-    (9.0, 0.0, 25.0, True),  # two readings agree, and the robot stands or turns
-    (9.0, 5.0, 25.0, True),
-    (9.0, 7.0, 25.0, False),  # it has gone
-    (9.0, 0.0, 31.0, False),
-    (20.0, 0.0, 25.0, False),  # one reading alone may be a bad one
-    (20.0, 0.0, 3.5, True),
+NOTHING_IN = N150.ring.max_range_in
+
+
+@pytest.mark.parametrize(("first_in", "moved_in", "later_in", "after_s", "is_remembered"), [
+    (9.0, 0.0, NOTHING_IN, 25.0, True),  # two readings agree, and the robot stands or turns
+    (9.0, 5.0, NOTHING_IN, 25.0, True),
+    (9.0, 7.0, NOTHING_IN, 25.0, False),  # it has gone
+    (9.0, 0.0, NOTHING_IN, 31.0, False),
+    (20.0, 0.0, NOTHING_IN, 25.0, False),  # one reading alone may be a bad one
+    (20.0, 0.0, NOTHING_IN, 3.5, True),
+    (9.0, 0.0, 80.0, 3.5, True),  # the edge of a box, past which the wall behind it is measured
+    (9.0, 0.0, 80.0, 4.5, False),  # then it was somebody who has walked on
+    (20.0, 0.0, 80.0, 3.5, False),
 ])  # fmt: skip
 def test_near_edge_that_two_readings_have_shown_is_remembered_here(
-    first_in: float, moved_in: float, after_s: float, is_remembered: bool
+    first_in: float, moved_in: float, later_in: float, after_s: float, is_remembered: bool
 ) -> None:
     # An edge ahead at 7 in, of which nothing returns any more; 2 in before the readings the robot was farther away.
-    nothing = N150.ring.max_range_in
     made = SpeedGuard(N150)
     made.add(0.0, np.array((-2.0, 0.0, 0.0, 0.0)), 0.0, first_in)
     made.add(1.0, STAND, 0.0, 7.0)
     place = np.array((0.0, moved_in, 0.0, 0.0))
-    for clock_s in np.arange(2.0, 1.0 + after_s, 0.5):
-        made.add(float(clock_s), place, 0.0, nothing)
+    for clock_s in np.arange(2.0, 1.1 + after_s, 0.5):
+        made.add(float(clock_s), place, 0.0, later_in)
     assert (made.free_in(place, 0.0) < 5.0) is is_remembered
 
 
@@ -581,10 +586,10 @@ def test_a_map_overrules_readings_only_that_it_explains(
     encoders, pose = np.array((30.0, -20.0, 0.7)), np.zeros(3)
     measured.add(1.0, encoders, 0.7 + axis_rad, reading_in)
     mapper = SoundMap(ahead_in)
-    assert motion._fits(pose, encoders, 0.0, cast("LiveMapper", mapper)) is fits
+    assert (motion._gap_in_s(pose, encoders, 0.0, cast("LiveMapper", mapper)) > 0.0) is fits
     # The back of a wall may be nearer than the face that was measured.
     mapper.is_facing = False
-    assert not motion._fits(pose, encoders, 0.0, cast("LiveMapper", mapper))
+    assert not motion._gap_in_s(pose, encoders, 0.0, cast("LiveMapper", mapper))
 
 
 @pytest.mark.parametrize(("driven_in", "last_s", "fits"), [
@@ -602,7 +607,20 @@ def test_a_map_does_not_overrule_what_is_near_by_now(driven_in: float, last_s: f
         measured.add(float(clock_s), encoders, -pi / 2.0, N150.ring.max_range_in)
     mapper = SoundMap(60.0)
     mapper.walls[:, [1, 3]] -= driven_in
-    assert motion._fits(encoders, encoders, 0.0, cast("LiveMapper", mapper)) is fits
+    assert (motion._gap_in_s(encoders, encoders, 0.0, cast("LiveMapper", mapper)) > 0.0) is fits
+
+
+@pytest.mark.parametrize(("width_in", "speed_in_s"), [(23.0, 2.0), (24.0, 2.0), (30.0, 4.5), (37.0, 4.5), (21.0, 0.0)])
+def test_a_door_of_the_map_is_passed_faster_than_a_gap(width_in: float, speed_in_s: float) -> None:
+    motion = _Motion(WaypointDriver([]), SpeedGuard(N150), MODEL_LIMITS["n150"], None)
+    mapper = SoundMap(60.0)
+    # Both posts beside the robot, of walls across its way; 8 in beyond the door there is nothing.
+    half = 0.5 * width_in
+    mapper.walls = np.array([(2.0, half, 2.0, 60.0), (2.0, -60.0, 2.0, -half)])
+    found = motion._gap_in_s(np.zeros(3), np.zeros(3), 0.0, cast("LiveMapper", mapper))
+    assert found == speed_in_s
+
+
 
 
 @pytest.mark.parametrize("aside_in", [0.0, -3.0, 7.0])
