@@ -77,9 +77,11 @@ MIN_CROSSING_RAD: Final = radians(20.0)
 """Lines that cross at a smaller angle may be of one wall."""
 BLOCKED_IN: Final = 2.0
 """A path is blocked by a wall at least this far before its end, and this far within the wall."""
-FIRST_CONE, FIRST_SIGMAS, SAME_RANGE_IN = 0.75, 2.0, 1e-6
+FIRST_CONE, FIRST_SIGMAS = 0.75, 2.0
 """A wall whose foot is within this fraction of the half cone returns an echo, before all that is behind it: what is
 farther off explains an echo only if it is nearer to its range by so many standard deviations."""
+SAME_RANGE_IN: Final = 1e-6
+"""Of one and the same spot, computed twice."""
 SURFACE_SIGMAS: Final = 2.0
 """Standard deviations of a surface by which a wall may be beside its line: so much farther before its end."""
 END_IN, END_ASIDE_IN = 8.0, 1.0
@@ -100,6 +102,8 @@ MIN_STRIP_IN: Final = 8.0
 """Width of the strip between what may be echoes of its posts in which a wall would have spots, and a door has none."""
 MIN_THICKNESS_IN, MAX_THICKNESS_IN = 2.0, 12.0
 """Of a wall with two faces."""
+OPPOSITE_IN: Final = 3.0
+"""Both edges of the end of a wall differ by less along the wall."""
 CORNER_IN, INNER_IN = 3.0, 12.0
 """A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
@@ -291,17 +295,13 @@ class MapEstimate:
         extents, runs = np.empty((len(self.state.walls), 2)), [np.empty((0, 3))]
         sides, passed = np.zeros(len(extents)), self._passed_at()
         feature = self._unambiguous_features() if self.problem.rays else self.assignment.feature
-        to_points = points_at_ends(self.state.walls, self.extents, self.state.points)
         for wall in range(len(extents)):
             feet, signs, is_alone = self._feet_and_sides(wall, np.flatnonzero(feature == wall))
             order = np.argsort(feet, kind="stable")
             feet, is_alone = feet[order], is_alone[order]
             if len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED:
                 sides[wall] = np.sign(signs.mean())
-            if np.isfinite(to_points[wall, 0]):
-                extents[wall] = self.extents[wall] + to_points[wall] * (-1.0, 1.0)
-                runs.append(np.array([(wall, *extents[wall])]))
-            elif len(feet) > 3:
+            if len(feet) > 3:
                 points = self._points_along(wall)
                 feet = np.clip(feet, *_end_points(points, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
@@ -470,11 +470,10 @@ def _wall_geometry(
     return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
 
 
-def growth_of(walls: Floats, extents: Floats, points: Floats) -> Floats:
+def growth_of(walls: Floats, extents: Floats) -> Floats:
     """Return how far walls (w, 2) may go on beyond either end (w, 2) of the part of them that was seen.
 
     Beyond another wall that they meet there only MIN_GROWTH_IN: in line with them may be a cabinet of the next room.
-    The end of a thick wall goes on to the points (v, 2) at its ends.
     """
     growth = np.clip(GROWTH * (extents[:, 1:] - extents[:, :1]), MIN_GROWTH_IN, MAX_GROWTH_IN)
     # The crossing of two lines, (w, w) along the one and along the other.
@@ -487,26 +486,7 @@ def growth_of(walls: Floats, extents: Floats, points: Floats) -> Floats:
     onward = np.stack((extents[:, :1] - along, along - extents[:, 1:]), axis=-1)
     limit = np.where(is_met[..., None] & (onward > -END_IN), np.maximum(onward, 0.0) + MIN_GROWTH_IN, np.inf)
     found: Floats = np.minimum(growth, limit.min(axis=1, initial=np.inf))
-    return np.minimum(found, points_at_ends(walls, extents, points) + END_ASIDE_IN)
-
-
-def points_at_ends(walls: Floats, extents: Floats, points: Floats) -> Floats:
-    """Return how far beyond either end (w, 2) of a wall as short as a wall is thick a point ends it; inf for others.
-
-    Such a wall, with points (v, 2) at both of its ends, is the end of a thick wall, or a side of a post.
-    """
-    c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
-    is_on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < END_ASIDE_IN
-    at = c * points[:, 1] - s * points[:, 0]
-    beyond = np.stack((extents[:, :1] - at, at - extents[:, 1:]), axis=-1)
-    if not points.size:
-        return np.full(extents.shape, np.inf)
-    nearest = np.where(is_on_line[..., None], np.abs(beyond), np.inf).argmin(axis=1)
-    found = np.take_along_axis(beyond, nearest[:, None], axis=1)[:, 0]
-    length = extents[:, 1] - extents[:, 0] + found.sum(axis=1)
-    is_short = (length > MIN_THICKNESS_IN) & (length < MAX_THICKNESS_IN)
-    is_short &= (np.abs(found) < END_IN).all(axis=1) & np.take_along_axis(is_on_line, nearest, axis=1).all(axis=1)
-    return np.where(is_short[:, None], found, np.inf)
+    return found
 
 
 def residual_matrix(
@@ -532,7 +512,7 @@ def residual_matrix(
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
     ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
-    growth = growth_of(state.walls, extents, state.points)
+    growth = growth_of(state.walls, extents)
     on_wall = (feet > extents[:, 0] - growth[:, 0]) & (feet < extents[:, 1] + growth[:, 1])
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
@@ -624,20 +604,20 @@ def _are_behind(
 class _HiddenPoints:
     """Points that are not measured from behind a face: numbers of both (k,), and from which part of its back.
 
-    `sides` (k,) are 1 for points hidden from where the coordinate along the face is higher than theirs, -1 from where
-    it is lower, and 0 for points hidden from all of its back. `at` (k,) are their coordinates.
+    `hidden_from` (k,) is 1 for a point that is hidden from where the coordinate along the face is higher than its own,
+    -1 from where it is lower, 0 from all of the back. `at` (k,) are the coordinates of the points.
     """
 
     points: Indices
     faces: Indices
-    sides: Floats
+    hidden_from: Floats
     at: Floats
 
     def hides(self, places: Floats, is_back: Mask, walls: Floats) -> Mask:
-        """Return True (p, k) for places (p, 2), which are behind the walls (w, 2) or not (p, w), to which one is."""
+        """Return True (p, k) where a point is hidden from a place (p, 2), which is behind walls by `is_back` (p, w)."""
         angle = walls[self.faces, 0]
         beyond = places[:, 1:] * np.cos(angle) - places[:, :1] * np.sin(angle) - self.at
-        return np.asarray(is_back[:, self.faces] & (self.sides * beyond >= 0.0), dtype=np.bool_)
+        return np.asarray(is_back[:, self.faces] & (self.hidden_from * beyond >= 0.0), dtype=np.bool_)
 
 
 def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
@@ -656,7 +636,7 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     off = state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]
     across = np.abs(off)
     onward = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1)
-    on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents, state.points)).all(axis=-1)
+    on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents)).all(axis=-1)
     # Of both faces of a thin wall it is on the nearer one: the other one would hide it from where it is measured.
     facing = sides[:, None] * sides * np.cos(state.walls[:, None, 0] - state.walls[:, 0])
     is_opposite, is_nearer = facing < -np.cos(MIN_CROSSING_RAD), across[:, None] < across[..., None]
@@ -667,21 +647,22 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     is_inner = np.zeros(on_wall.shape, dtype=np.bool_)
     for direction, goes_on in zip((-1.0, 1.0), _go_on(parts, along), strict=True):
         is_inner |= (on_wall & goes_on) @ (direction * slope > np.sin(MIN_CROSSING_RAD)).T
-    # 3. Ends: on which side of the point its wall is, 1 where the coordinate is higher; across a door beyond it.
-    wall_side = ends_of_parts(parts, along)
+    # 3. Ends: on which side of the point its wall is; across a door in a face it is beyond.
+    ends = ends_of_parts(parts, along)
     is_across = onward > MIN_DOOR_IN
-    wall_side = np.where(is_across.any(axis=-1), is_across[..., 1] * 1.0 - is_across[..., 0], wall_side)
-    # 4. Of doors: ends across one, or with another point at that distance beyond them. Is the wall's other edge known?
+    wall_side = np.where(is_across.any(axis=-1), is_across @ np.array((-1.0, 1.0)), ends.side)
+    # 4. Edges of doors: with a part, or another point, at the distance of a door beyond them.
     is_door = is_across & (onward < MAX_DOOR_IN)
-    at_end = np.abs(onward) < END_IN
-    has_door = is_door.any(axis=-1) | (at_end & (on_wall[..., None] & is_door).any(axis=0)).any(axis=-1)
+    has_door = is_door.any(axis=-1) | ((ends.beyond_in > MIN_DOOR_IN) & (ends.beyond_in < MAX_DOOR_IN))
+    has_door |= ((np.abs(onward) < END_IN) & (on_wall[..., None] & is_door).any(axis=0)).any(axis=-1)
+    # 5. Is the other edge of the wall known, behind this one?
     behind = (off[:, None] - off) * sides
     has_other = ((behind > MIN_THICKNESS_IN) & (behind < MAX_THICKNESS_IN)
-                 & (np.abs(along[:, None] - along) < CORNER_IN)).any(axis=1)  # fmt: skip
-    is_all = is_inner | (wall_side == 0.0) | (has_door & ~has_other)
-    points, faces = np.nonzero(on_wall & (sides != 0.0) & (is_all | has_other))
+                 & (np.abs(along[:, None] - along) < OPPOSITE_IN)).any(axis=1)  # fmt: skip
+    from_all = is_inner | ends.is_within | (has_door & ~has_other)
+    points, faces = np.nonzero(on_wall & (sides != 0.0) & (from_all | (has_other & (wall_side != 0.0))))
     at = points, faces
-    return _HiddenPoints(points, faces, np.where(is_all, 0.0, wall_side)[at], along[at])
+    return _HiddenPoints(points, faces, np.where(from_all, 0.0, wall_side)[at], along[at])
 
 
 def parts_of(runs: Floats, extents: Floats) -> Floats:
@@ -691,7 +672,10 @@ def parts_of(runs: Floats, extents: Floats) -> Floats:
 
 
 def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
-    """Return True (v, w) where a part (r, 3) of a wall begins soon after a coordinate, downwards and upwards."""
+    """Return True (v, w) where a part (r, 3) of a wall begins soon after a coordinate, downwards and upwards.
+
+    And reaches INNER_IN beyond it.
+    """
     down, up = np.zeros(along.shape, dtype=np.bool_), np.zeros(along.shape, dtype=np.bool_)
     for wall, low, high in parts.tolist():
         at, number = along[:, int(wall)], int(wall)
@@ -700,24 +684,34 @@ def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
     return down, up
 
 
-def ends_of_parts(parts: Floats, along: Floats) -> Floats:
-    """Return for points 1 where a part of a wall begins, -1 where one ends, else 0, (v, w).
+@dataclass(frozen=True, slots=True)
+class PartEnds:
+    """Points near ends of the parts of walls, each (v, w).
 
-    Parameters
-    ----------
-    parts
-        (r, 3) wall, first and last coordinate.
-    along
-        (v, w) coordinates of the points along the walls.
+    `side` is 1 where the nearest part begins at a point, -1 where it ends, else 0. `beyond_in` is the distance of the
+    next part on the other side, inf without one. `is_within` is True for points inside of a part.
     """
-    found, is_within = np.zeros(along.shape), np.zeros(along.shape, dtype=np.bool_)
+
+    side: Floats
+    beyond_in: Floats
+    is_within: Mask
+
+
+def ends_of_parts(parts: Floats, along: Floats) -> PartEnds:
+    """Return the points at ends of the parts (r, 3) of walls, by their coordinates (v, w) along these."""
+    down, up = np.full(along.shape, np.inf), np.full(along.shape, np.inf)
+    is_within = np.zeros(along.shape, dtype=np.bool_)
     for wall, low, high in parts.tolist():
         at, number = along[:, int(wall)], int(wall)
+        # Each half of a short part belongs to its nearer end.
         inner = min(END_IN, 0.5 * (high - low))
-        found[(at <= low + inner) & (at > low - MAX_GAP_IN), number] = 1.0
-        found[(at > high - inner) & (at < high + MAX_GAP_IN), number] = -1.0
-        is_within[:, number] |= (at > low + inner) & (at <= high - inner)
-    return np.where(is_within, 0.0, found)
+        is_above, is_below = at > high - inner, at <= low + inner
+        down[:, number] = np.where(is_above, np.minimum(down[:, number], np.abs(at - high)), down[:, number])
+        up[:, number] = np.where(is_below, np.minimum(up[:, number], np.abs(low - at)), up[:, number])
+        is_within[:, number] |= ~is_above & ~is_below
+    is_near = (np.minimum(down, up) < MAX_GAP_IN) & ~is_within
+    side = np.where(is_near, np.where(down < up, -1.0, 1.0), 0.0)
+    return PartEnds(side, np.where(side == 0.0, np.inf, np.where(side < 0.0, up, down)), is_within)
 
 
 def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:

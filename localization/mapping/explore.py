@@ -134,8 +134,8 @@ SETTLE_S: Final = 4.0
 """Added to the time to a place: near places are not visited one after the other for ever."""
 WORTH: Final = {"frontier": 1.5, "end": 3.0, "span": 2.0, "vertex": 1.0, "coverage": 0.6, "corner": 0.1}
 MEASURING_PACE, DRIVEN_FRACTION, LONG_IN = 2.0 / 3.0, 0.7, 80.0
-"""Fraction of the top speed, but while there may be a room to enter, where so much of the path has been driven before,
-and on paths longer than this."""
+"""Paths are driven at this fraction of the top speed, and at the top speed while there may be a room to enter, where at
+least the second fraction of the path has been driven before, and if the path is longer than the third."""
 MAX_TRIES: Final = {"frontier": 8, "end": 2, "span": 2, "vertex": 2, "coverage": 2, "corner": 4}
 SAME_FRONTIER_IN, STAY = 12.0, 1.5
 """Frontiers nearer to one another are one; that to which the robot is driving is worth so many times more, or it turns
@@ -300,7 +300,7 @@ class Explorer:
         self._blocked_at: Point = inf, inf
         self._revisions = 0
         self._free_directions: list[float] = []
-        self._is_last = self._has_rooms = False
+        self._is_last = self._may_have_rooms = False
         self._optional_in = 0.0
         self._solution = _Solution()
         self.places: list[Place] = []
@@ -337,7 +337,7 @@ class Explorer:
     @property
     def _pace(self) -> float:
         """Fraction of the top speed for the leg: less where walls are to be measured, as short ones get few echoes."""
-        is_fast = self._is_fast or self._has_rooms
+        is_fast = self._is_fast or self._may_have_rooms
         return 1.0 if self._place is not None and is_fast else MEASURING_PACE
 
     def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
@@ -604,8 +604,8 @@ class Explorer:
         self.places, self._optional_in = [], 0.0
         choices, here = self._choices(grid, mapper, pose)
         # 1. Cells without anything, and corners, wait while there may be a room to enter.
-        self._has_rooms = any(c.place.kind == "frontier" and c.place.size >= ROOM_SIZE for c in choices)
-        if self._has_rooms:
+        self._may_have_rooms = any(c.place.kind == "frontier" and c.place.size >= ROOM_SIZE for c in choices)
+        if self._may_have_rooms:
             choices = [choice for choice in choices if choice.place.kind not in ("coverage", "corner")]
         # 2. The best by distance, with the turn before the leg.
         best, chosen = 0.0, None
@@ -715,7 +715,7 @@ class Explorer:
         came = goal - np.array(path[-2] if len(path) > 1 else start)
         if came @ along < 0.0:
             return []
-        points = goal + np.arange(1.0, ALONG_WALL_IN / CELL_IN)[:, None] * CELL_IN * along
+        points = goal + np.arange(1.0, ALONG_WALL_IN / CELL_IN + 1.0)[:, None] * CELL_IN * along
         cells = grid.cells(points)
         at = cells[:, 0], cells[:, 1]
         is_free = grid.reached[at] & (grid.space[at] > self._body_in + COMFORT_IN)

@@ -65,7 +65,7 @@ RAY_FAN: Final = np.arange(-6, 7) * 3.0 * ANGLE_CELL_RAD
 """Directions off a ray for which an echo votes: normals of walls."""
 MIN_VOTES: Final = 6
 MIN_DOUBTFUL: Final = 12
-"""Echoes of a point that may be a wall as well: it saves twice its penalty at least."""
+"""Echoes of a point that may be a wall as well: it saves about twice its penalty."""
 FRONT: Final = -1.0
 """Side of a new wall on which its sonars are: its normal points away from them."""
 MAX_CANDIDATES: Final = 6
@@ -301,7 +301,8 @@ def _decide(
         return wall, True, wall.supports
     if gain < -MIN_DIFFERENCE and point.supports.sum() >= MIN_VOTES and point.base_in >= MIN_BASE_IN:
         return point, False, point.supports
-    if with_doubtful and point.supports.sum() >= MIN_DOUBTFUL and point.base_in >= MIN_BASE_IN:
+    is_doubtful = with_doubtful and abs(gain) <= MIN_DIFFERENCE
+    if is_doubtful and point.supports.sum() >= MIN_DOUBTFUL and point.base_in >= MIN_BASE_IN:
         return point, False, point.supports
     return None, is_wall, first.supports
 

@@ -76,6 +76,7 @@ from localization.mapping.walls import (
     free_paths,
     pass_through,
     uncrossed_spans,
+    walls_along,
 )
 from worlds.geometry import nearest_points_of_pairs
 
@@ -614,7 +615,7 @@ def close_wall_ends(estimate: MapEstimate) -> int:
     """
     spans = [
         span for span in find_wall_ends(estimate, free_paths(estimate))
-        if not pass_through(estimate.state.walls, span.ends[None], POINT_ON_WALL_IN).any()
+        if not len(walls_along(estimate.state.walls, span))
     ]  # fmt: skip
     if not spans:
         return 0
@@ -788,11 +789,16 @@ def find_undecided(estimate: MapEstimate) -> list[tuple[int, int]]:
     """Return pairs of walls side by side that may as well be one: their echoes do not decide it.
 
     Both maps cost the same within MIN_DIFFERENCE, and have another topology. Two walls one after the other are the
-    same map, however many they are.
+    same map, however many they are. Walls without echoes, such as the ends of others, are left out: they cost nothing.
     """
+    estimate = estimate.copy()
+    sizes = [len(estimate.echoes_of(wall)) for wall in range(len(estimate.state.walls))]
+    numbers = np.flatnonzero(sizes)
+    for wall in reversed(np.flatnonzero(np.array(sizes) == 0).tolist()):
+        estimate.remove(wall)
     segments = segments_of(estimate.state.walls, estimate.extents)
     return [
-        (one, other)
+        (int(numbers[one]), int(numbers[other]))
         for one, other in _merge_pairs(estimate)
         if _overlap(segments[one], segments[other]) > MIN_BASE_IN
         and _merged(estimate, one, other).cost < estimate.cost + MIN_DIFFERENCE

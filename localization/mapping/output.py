@@ -198,9 +198,10 @@ class LearnedMap:
     def reason_to_refuse(self) -> str:
         """Return why this map must not be used; "" if it is sound."""
         quality = self.quality
-        if len(self.walls) + len(self.uncertain) < MIN_WALLS:
+        known, uncertain = ([wall for wall in walls if wall.echoes] for walls in (self.walls, self.uncertain))
+        if len(known) + len(uncertain) < MIN_WALLS:
             return (
-                f"{len(self.walls)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
+                f"{len(known)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
             )
         if not explains_enough(quality.explained, quality.repeated):
             return (
@@ -255,12 +256,12 @@ class LearnedMap:
                 "robot came back to a place without recognizing it, or something moved; drive in smaller loops, along "
                 "walls and corners that are in the map already"
             )
-        count = len(self.walls) + len(self.uncertain)
-        if len(self.walls) < max(MIN_KNOWN * count, MIN_WALLS):
-            stds = [wall.std_in for wall in self.uncertain]
+        count = len(known) + len(uncertain)
+        if len(known) < max(MIN_KNOWN * count, MIN_WALLS):
+            stds = [wall.std_in for wall in uncertain]
             lowest, highest = min(stds), max(stds)
             return (
-                f"{len(self.walls)} of its {count} walls are known well enough, the others within {2.0 * lowest:.1f} "
+                f"{len(known)} of its {count} walls are known well enough, the others within {2.0 * lowest:.1f} "
                 f"to {2.0 * highest:.1f} in, twice their standard deviation; at least {MIN_KNOWN:.0%} are needed: "
                 "drive in smaller loops, along the walls, and come back to corners"
             )

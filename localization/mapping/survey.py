@@ -89,10 +89,12 @@ BLIND_IN: Final = 8.0
 comes 4 in nearer, of the 5.3 in that it has."""
 BLIND_IN_S: Final = 3.0
 GAP_IN_S, DOOR_IN_S = 2.0, 4.5
+"""Speeds through a gap that is narrower than sonars measure, and through a door in which all readings are above their
+lower limit: what has come there since is measured in time (OPTIONAL_IN_S)."""
 GAP_STEPS_IN: Final = (2.0, 4.0, 6.0, 8.0)
-"""Speeds through a gap narrower than sonars measure, and through a wider one: there what has come into the way since
-is measured in time (OPTIONAL_IN_S). How far ahead the map must show space: up to the third, or all."""
+"""How far ahead the map must show space: the first three for a gap, all for a door."""
 GAP_SPACE_IN, DOOR_SPACE_AHEAD_IN = 1.2, 3.0
+"""Space beside the body in a gap, and in a door."""
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
 MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 29))
@@ -193,9 +195,9 @@ class SpeedGuard:
 
     def __init__(self, body: Body, *, rays: bool = False) -> None:
         self._rays = rays
-        self._ring_in, self.body_in, self._shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
+        self._ring_in, self.body_in, self.shortest_in = body.ring.radius_in, body.radius_in, body.ring.min_range_in
         self._sonars, self._longest_in = body.ring.count, body.ring.max_range_in
-        # Readings of the last GUARD_S; near ones of the last NEAR_S whose sonar measures nothing any more.
+        # Readings of the last GUARD_S; near ones before whose sonar does not measure them any more.
         self._walls: deque[_AcrossAxis] = deque()
         self._near: list[_AcrossAxis] = []
         self._spots: deque[_Spot] = deque()
@@ -214,14 +216,14 @@ class SpeedGuard:
         # 1. Readings that are too old. The near ones that have vanished since are kept for longer.
         while self._walls and self._walls[0].clock_s < clock_s - GUARD_S:
             wall = self._walls.popleft()
-            if wall.reading_in <= NEAR_IN and self._has_vanished(wall, self._walls, encoders):
+            if wall.reading_in <= NEAR_IN and self._is_unseen_now(wall, self._walls, encoders):
                 self._near.append(wall)
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
         self._near = [
             near for near in self._near
             if self._is_remembered(near, clock_s, (x, y))
-            and (not self._is_same_sonar(near.axis_rad, axis_rad) or self._has_vanished(near, [wall], encoders))
+            and (not self._is_same_sonar(near.axis_rad, axis_rad) or self._is_unseen_now(near, [wall], encoders))
         ]  # fmt: skip
         same_sonar = (before for before in reversed(self._walls) if self._is_same_sonar(before.axis_rad, axis_rad))
         before = next(same_sonar, None)
@@ -237,19 +239,19 @@ class SpeedGuard:
         while self._spots and self._spots[0].clock_s < clock_s - SPOT_S:
             self._spots.popleft()
         if self._rays and reading_in <= SPOT_IN:
-            is_guessed = reading_in <= self._shortest_in
-            away = self._ring_in + (0.5 * self._shortest_in if is_guessed else reading_in)
+            is_guessed = reading_in <= self.shortest_in
+            away = self._ring_in + (0.5 * self.shortest_in if is_guessed else reading_in)
             self._spots.append(_Spot(clock_s, x + away * c, y + away * s, is_guessed))
 
     def _is_same_sonar(self, one_rad: float, other_rad: float) -> bool:
         """Return True if two axes are of one sonar, or of two of which the one looks now where the other did."""
         return abs(angle_difference(one_rad, other_rad)) < pi / self._sonars
 
-    def _has_vanished(self, near: _AcrossAxis, later: Iterable[_AcrossAxis], encoders: Floats) -> bool:
-        """Return True if the sonar of a near wall has fired again, and measured nothing but what is behind it.
+    def _is_unseen_now(self, near: _AcrossAxis, later: Iterable[_AcrossAxis], encoders: Floats) -> bool:
+        """Return True if the sonar of a near wall has fired again and not measured it: it may stand there all the same.
 
-        That is nothing at all, as a reading alone may be a bad one; for NEAR_S it may also be farther off than a wall
-        that is confirmed. Afterwards what stood there has gone.
+        The sonar has measured nothing at all. Or, if the wall is confirmed and not older than NEAR_S, what is behind:
+        another reading is then no proof that the wall has gone.
         """
         readings = [wall for wall in later if self._is_same_sonar(wall.axis_rad, near.axis_rad)]
         behind_in = near.range_from(encoders) + CONFIRMED_IN
@@ -260,7 +262,7 @@ class SpeedGuard:
         )
 
     def _is_remembered(self, wall: _AcrossAxis, clock_s: float, place: Point) -> bool:
-        """Return True if a near wall whose sonar is silent still counts."""
+        """Return True if a near wall that its sonar does not measure any more still counts."""
         is_here = wall.is_confirmed and dist(place, (wall.x_in, wall.y_in)) < NEAR_BY_IN
         return wall.clock_s >= clock_s - (CONFIRMED_S if is_here else NEAR_S)
 
@@ -268,7 +270,7 @@ class SpeedGuard:
         """Return True if a reading is at the lower limit, and the one before from the same place was clearly more."""
         is_here = hypot(before.x_in - wall.x_in, before.y_in - wall.y_in) < STOOD_IN
         is_here &= abs(angle_difference(before.axis_rad, wall.axis_rad)) < STOOD_RAD
-        return is_here and wall.reading_in <= self._shortest_in < before.reading_in - MOVED_IN
+        return is_here and wall.reading_in <= self.shortest_in < before.reading_in - MOVED_IN
 
     def on_contact(self, encoders: Floats) -> None:
         """Forget where the robot was, and remember the encoder pose at which it touched something."""
@@ -292,7 +294,7 @@ class SpeedGuard:
 
         From the sonar, in the frame of an encoder pose.
         """
-        limit_in = self._shortest_in + SHORT_IN
+        limit_in = self.shortest_in + SHORT_IN
         found = [
             (wall.x_in + self._ring_in * cos(wall.axis_rad), wall.y_in + self._ring_in * sin(wall.axis_rad),
              wall.axis_rad, wall.reading_in)
@@ -329,7 +331,7 @@ class SpeedGuard:
             off = max(abs(angle_difference(direction_rad, wall.axis_rad)) - HALF_CONE_RAD, 0.0)
             if off > ASIDE_RAD:
                 continue
-            if wall.reading_in <= self._shortest_in:
+            if wall.reading_in <= self.shortest_in:
                 self.is_blind |= off >= zone
                 free = 0.0 if off < zone else inf
             else:
@@ -567,7 +569,8 @@ class _Motion:
         explains = (np.abs(aside) < HALF_CONE_RAD + NEAR_CONE_RAD) & (distances < beams[:, 3:] + GUARD_MARGIN_IN)
         if not explains.any(axis=1).all():
             return 0.0
-        return DOOR_IN_S if spaces.min() > DOOR_SPACE_AHEAD_IN else GAP_IN_S
+        is_door = spaces.min() > DOOR_SPACE_AHEAD_IN and bool((beams[:, 3] > self._guard.shortest_in).all())
+        return DOOR_IN_S if is_door else GAP_IN_S
 
     def _give_up(self, pose: Floats, reason: str, back_rad: float) -> None:
         if self._leg is not None:

@@ -338,7 +338,8 @@ def _compared(
     overlaps = overlap > 0.5 * np.minimum(spans[..., 1] - spans[..., 0], sizes)
     is_on = (np.abs(across) < np.maximum(MIN_CHANGE_IN, 3.0 * std_in)[:, None]) & overlaps
     is_on &= turns < np.maximum(MIN_CHANGE_RAD, 3.0 * std_rad)[:, None]
-    is_free = ~is_on.any(axis=1)
+    # The ends of thick walls, which have no echoes of their own, confirm walls and show no change.
+    is_free = ~is_on.any(axis=1) & (np.array([piece.echoes for piece in pieces]) > 0)
     for row in range(len(walls)):
         confirmed = [(float(low), float(high)) for low, high in spans[is_on[:, row], row]]
         crossed = crossed_at(starts, ends, normals[row], along[row], float(offsets[row])) - base[row]

@@ -2,7 +2,8 @@
 
     1. pieces     runs of reflecting spots along a line, cut at wide gaps and where sound or the robot has crossed it
     2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
-    3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end
+    3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end;
+                  where both faces of a thick wall end, a wall leads from corner to corner (`find_wall_ends`)
     4. accuracy   covariance of the walls after the best rigid fit, since the frame of a map is free
     5. outlines   sides and corners of boxes that lead around a place that no path has crossed
 
@@ -23,10 +24,12 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.mapping.association import (
+    ALONE_SIGMAS,
     BLOCKED_IN,
     MAX_GAP_IN,
     MAX_THICKNESS_IN,
     MIN_THICKNESS_IN,
+    OPPOSITE_IN,
     MapEstimate,
     Mask,
     crossings,
@@ -376,7 +379,8 @@ def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
     along, outward = np.stack((-normals[:, 1], normals[:, 0]), axis=-1), estimate.sides[:, None] * normals
     is_on_face = (np.abs(points @ normals.T - walls[:, 1]) < POINT_ON_LINE_IN) & (estimate.sides != 0.0)
-    ends = np.where(is_on_face, ends_of_parts(parts_of(estimate.runs, estimate.extents), points @ along.T), 0.0)
+    parts = parts_of(estimate.runs, estimate.extents)
+    ends = np.where(is_on_face, ends_of_parts(parts, points @ along.T).side, 0.0)
     off = points[:, None] - points
     away = np.hypot(*off.transpose(2, 0, 1))
     # 1. Pairs of points: faces that look away from one another, across the line between them, on one side of it.
@@ -386,30 +390,42 @@ def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[
         across = off[one, other] / away[one, other]
         fits = outward[i] @ outward[j].T < -np.cos(FACE_RAD)
         fits &= (ends[one, i, None] * along[i]) @ (ends[other, j, None] * along[j]).T > 0.0
+        fits &= np.abs(along[i] @ off[one, other])[:, None] < OPPOSITE_IN
         square = np.where(fits, np.minimum((outward[i] @ across)[:, None], outward[j] @ -across), 0.0)
         if square.max(initial=0.0) > MIN_SQUARE_COS:
             candidates.append((float(square.max()), one, other))
     # 2. The squarest where a corner is more than one point; one that nothing has crossed, and that is no junction.
-    found = list[Span]()
+    found, path = list[Span](), estimate.state.poses[:, :2]
     for _, one, other in sorted(candidates, reverse=True):
         span = Span(one, other, np.concatenate((points[one], points[other])), 0, ends_wall=True)
         inner = span.ends + np.tile(END_MARGIN * (points[other] - points[one]), 2) * (1.0, 1.0, -1.0, -1.0)
+        # A path of sound may be a mistake, one of the robot is none.
         is_crossed = int(crossings(*paths, inner[None]).sum()) >= MIN_CROSSINGS
+        is_crossed |= bool(crossings(path[:-1], path[1:], inner[None]).any())
         middle = span.ends.reshape(2, 2).mean(axis=0)
         beside = (np.hypot(*(known.ends.reshape(2, 2).mean(axis=0) - middle)) < SAME_CORNER_IN for known in found)
-        if not is_crossed and not any(beside) and not _is_on_longer_wall(estimate, span.ends.reshape(2, 2)):
+        if not is_crossed and not any(beside) and not _is_junction(estimate, span, parts):
             found.append(span)
     return found
 
 
-def _is_on_longer_wall(estimate: MapEstimate, ends: Floats) -> bool:
-    """Return True if a wall through two points (2, 2) was measured beyond them: another wall meets it there."""
-    through = np.flatnonzero(pass_through(estimate.state.walls, ends.reshape(1, 4), POINT_ON_LINE_IN)[:, 0])
-    for wall in through:
+def walls_along(walls: Floats, span: Span) -> Indices:
+    """Return the numbers of the walls (w, 2) that lead from the one point of a span to the other, and not aslant."""
+    along = (span.ends[2:] - span.ends[:2]) / np.hypot(*(span.ends[2:] - span.ends[:2]))
+    directions = np.stack((-np.sin(walls[:, 0]), np.cos(walls[:, 0])), axis=-1)
+    is_along = np.abs(directions @ along) > MIN_SQUARE_COS
+    return np.flatnonzero(is_along & pass_through(walls, span.ends[None], POINT_ON_LINE_IN)[:, 0])
+
+
+def _is_junction(estimate: MapEstimate, span: Span, parts: Floats) -> bool:
+    """Return True if a wall along a span goes on beyond it, by its parts (r, 3): the faces meet that wall."""
+    for wall in walls_along(estimate.state.walls, span):
         angle = estimate.state.walls[wall, 0]
-        low, high = np.sort(ends @ np.array((-np.sin(angle), np.cos(angle))))
-        runs = estimate.runs[estimate.runs[:, 0] == wall, 1:]
-        if ((runs[:, 0] < low - OVERSHOOT_IN) | (runs[:, 1] > high + OVERSHOOT_IN)).any():
+        low, high = np.sort(span.ends.reshape(2, 2) @ np.array((-np.sin(angle), np.cos(angle))))
+        _, first, last = parts[parts[:, 0] == wall].T
+        goes_on = (last > low - MAX_GAP_IN) & (first < low - OVERSHOOT_IN)
+        goes_on |= (first < high + MAX_GAP_IN) & (last > high + OVERSHOOT_IN)
+        if goes_on.any():
             return True
     return False
 
@@ -499,7 +515,7 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
     walls = len(state.walls)
     own = np.abs(residual[:, wall])
     by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
-    clear = (own < ROBUST_LIMIT) & ~(by_point < 1.5)
+    clear = (own < ROBUST_LIMIT) & ~(by_point < ALONE_SIGMAS)
     angle = surface_lines(estimate)[0][wall, 0]
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
 
@@ -849,9 +865,9 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
 
     The displacements of both ends of each piece across it, and of all points, are linear in the unknowns: d = A u. A
     rigid motion moves them by N (x, y, turn). What remains after the best fit is (I - N F) d with the weighted fit
-    F = (N' W N)^-1 N' W. The weights are those of what remains itself, or a single point that is known to a foot would
-    move the whole map. Without the points the only wall across a corridor would be exact, since it alone would tell the
-    position along it.
+    F = (N' W N)^-1 N' W. The weights are those of what remains itself, or a single point whose standard deviation is a
+    foot would move the whole map. Without the points the only wall across a corridor would be exact, since it alone
+    would tell the position along it.
     """
     if not pieces:
         return

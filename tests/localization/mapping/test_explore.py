@@ -14,6 +14,7 @@ from localization.filters.belief import Floats
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import (
     CELL_IN,
+    MEASURING_PACE,
     Explorer,
     Grid,
     Place,
@@ -339,6 +340,7 @@ def test_cells_wait_while_there_may_be_a_room_to_enter(
     path = explorer._next_path(grid, cast("LiveMapper", mapper), pose)
     assert explorer._place is not None
     assert explorer._place.kind == chosen
+    assert explorer._pace == (1.0 if chosen == "frontier" else MEASURING_PACE)
     # Cones go on through the frontier; exact rays leave gaps in what is not known yet.
     assert path is not None
     assert (path[-1][1] > 42.0) is (chosen == "frontier" and not rays)

@@ -129,7 +129,7 @@ def test_corner_of_a_room_is_hidden_by_its_walls(
     ([], set()),  # the end of a face alone: the corner of a box, seen from beside it
     ([130.0], {100.0, 130.0}),  # both edges of a door
     ([50.0], {50.0}),  # on the face
-    ([-30.0], {-30.0}),  # in its plane, across a door from where it begins
+    ([-30.0], {-30.0}),  # in its plane, across a door from where it begins, which is no point
     ([150.0], set()),  # too far away
 ])  # fmt: skip
 @pytest.mark.parametrize("turn", [0.0, 1.1])
@@ -141,11 +141,12 @@ def test_edges_in_the_plane_of_a_face_are_hidden_by_it(
     # One 4.5 in behind it is another edge.
     points = rotate(np.array([*((5.0, t) for t in at), (9.5, 50.0)]), np.full(len(at) + 1, turn))
     made = made_map(estimate, np.array([(turn, 5.0)]), np.array([(0.0, 100.0)]), np.array([-1.0]), points)
-    # From behind the middle of a door on either side of the face.
-    found = hidden_from((30.0, 115.0), made, turn) & hidden_from((30.0, -15.0), made, turn)
-    beyond = {point for point, _ in hidden_from((30.0, 115.0 if 130.0 in at else -15.0), made, turn)}
-    assert {at[point] for point, _ in found} <= hidden
-    assert {at[point] for point in beyond} - {100.0} == hidden - {100.0}
+    if 50.0 in at:
+        points[-1] = 2.0 * points[0]  # not behind this one
+        made.state = replace(made.state, points=points)
+    for place in ((30.0, 115.0), (30.0, -15.0), (30.0, 60.0)):
+        assert {at[point] for point, _ in hidden_from(place, made, turn)} == hidden
+    assert not hidden_from((-30.0, 115.0), made, turn)
     # A wall that was measured from both sides hides nothing.
     made.sides = np.zeros(1)
     assert not hidden_from((30.0, 115.0), made, turn)
@@ -166,12 +167,18 @@ def test_edge_of_a_door_is_seen_past_the_other_edge_of_its_wall(estimate: MapEst
     # 3. Each is hidden by its own wall.
     assert hidden_from((30.0, 80.0), made, turn) == {(0, 0)}
     assert hidden_from((30.0, 150.0), made, turn) == {(1, 0)}
+    # 4. All the same where the face was measured on both sides of the door.
+    made.extents, made.runs = np.array([(0.0, 236.0)]), np.array([(0.0, 0.0, 100.0), (0.0, 136.0, 236.0)])
+    assert not hidden_from((30.0, 118.0), made, turn)
+    assert hidden_from((30.0, 80.0), made, turn) == {(0, 0)}
+    made.state = replace(made.state, points=points)
+    assert hidden_from((30.0, 118.0), made, turn) == {(0, 0), (1, 0)}
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.3])
 def test_the_first_echo_is_that_of_the_wall_not_of_the_corner_behind(estimate: MapEstimate, turn: float) -> None:
-    # Beside a wall at 60 in, 10 in before its end: the end is at 60.83 in, 9.5 degrees off the axis.
-    points = rotate(np.array([(60.0, 40.0)]), np.array([turn]))
+    # Beside a wall at 60 in, 11 in before its end: the end is at 61 in, 10.4 degrees off the axis.
+    points = rotate(np.array([(60.0, 41.0)]), np.array([turn]))
     made = made_map(estimate, np.array([(turn, 60.0)]), np.array([(-40.0, 40.0)]), np.zeros(1), points)
     made.expects_first_echoes = True
     std_in = float(estimate.problem.trajectory.std_in[0])
@@ -202,10 +209,18 @@ def test_ends_of_parts_are_where_walls_begin_and_end() -> None:
     along = np.array((-30.0, -5.0, 3.0, 20.0, 38.0, 45.0, 60.0, 79.0, 100.0, 119.0))
     parts = parts_of(runs, extents)
     found = ends_of_parts(parts, np.stack((along, along), axis=-1))
-    np.testing.assert_array_equal(found[:, 0], (0, 1, 1, 0, -1, -1, 0, 1, 0, -1))
+    np.testing.assert_array_equal(found.side[:, 0], (0, 1, 1, 0, -1, -1, 0, 1, 0, -1))
+    # In the gap the other part is beyond.
+    np.testing.assert_array_equal(found.beyond_in[4:8, 0], (42.0, 35.0, np.inf, 39.0))
+    np.testing.assert_array_equal(np.flatnonzero(found.is_within[:, 0]), (3, 8))
+    # In a gap of 25 in each point belongs to the nearer part, wherever this stands in the list.
+    narrow = np.array([(0.0, 0.0, 100.0), (0.0, 125.0, 200.0)])
+    for both in (narrow, narrow[::-1]):
+        sides = ends_of_parts(both, np.array([[106.0], [107.0], [120.0]])).side[:, 0]
+        np.testing.assert_array_equal(sides, (-1, -1, 1))
     # Of a short one each half belongs to its nearer end.
     near = np.array((9.0, 12.0, 13.0, 16.0))
-    np.testing.assert_array_equal(ends_of_parts(parts, np.stack((near, near), axis=-1))[:, 1], (1, 1, -1, -1))
+    np.testing.assert_array_equal(ends_of_parts(parts, np.stack((near, near), axis=-1)).side[:, 1], (1, 1, -1, -1))
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0])
@@ -229,6 +244,23 @@ def test_an_edge_between_two_faces_is_on_the_nearer_one(estimate: MapEstimate, t
 def every(feet: Floats) -> Mask:
     """Return that all spots are of the wall alone."""
     return np.ones(len(feet), dtype=np.bool_)
+
+
+def test_echoes_of_a_wall_that_may_be_of_a_point_are_told(estimate: MapEstimate) -> None:
+    made, echoes = estimate.copy(), estimate.echoes_of(0)
+    feet, _, is_alone = made._feet_and_sides(0, echoes)
+    assert is_alone.all()
+    # A point on the line: where the first of them was reflected.
+    angle, offset = estimate.state.walls[0]
+    c, s = np.cos(angle), np.sin(angle)
+    point = np.array((c * offset - s * feet[0], s * offset + c * feet[0]))
+    made.add_point(point)
+    _, _, is_alone = made._feet_and_sides(0, echoes)
+    assert not is_alone[0]
+    # Oracle: the distance of each sonar from it.
+    sensors = sensors_at(estimate.state.poses, estimate.state.parameters, estimate.problem.trajectory, echoes)
+    off = np.abs(np.hypot(*(point - sensors.face).T) - sensors.range_in) / estimate.problem.trajectory.std_in[echoes]
+    np.testing.assert_array_equal(is_alone, off >= 1.5)
 
 
 def test_path_opens_the_wall_that_it_crosses() -> None:
@@ -416,7 +448,7 @@ def test_a_wall_goes_on_less_beyond_one_that_it_meets(
     normal = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
     walls = np.stack((angle, (normal * ends[:, 0]).sum(axis=1)), axis=-1)
     extents = np.sort((ends * np.stack((-normal[:, 1], normal[:, 0]), axis=-1)[:, None]).sum(axis=2), axis=1)
-    found = growth_of(walls, extents, np.zeros((0, 2)))[0]
+    found = growth_of(walls, extents)[0]
     # The normal turned left is against the direction in which the ends are given.
     np.testing.assert_allclose(np.sort(found), np.sort(expected), atol=1e-9)
     first_is_low = (ends[0, 0] @ np.array((-normal[0, 1], normal[0, 0]))) < extents[0].mean()

@@ -19,7 +19,17 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
-from localization.mapping.survey import Geofence, Plan, SpeedGuard, SurveyStep, WaypointDriver, _Leg, _Motion, survey
+from localization.mapping.survey import (
+    GAP_IN_S,
+    Geofence,
+    Plan,
+    SpeedGuard,
+    SurveyStep,
+    WaypointDriver,
+    _Leg,
+    _Motion,
+    survey,
+)
 from localization.navigation.control_law import MODEL_LIMITS, VelocityCommand
 from nclient import Robot, connect
 from nclient.cli import main
@@ -610,15 +620,21 @@ def test_a_map_does_not_overrule_what_is_near_by_now(driven_in: float, last_s: f
     assert (motion._gap_in_s(encoders, encoders, 0.0, cast("LiveMapper", mapper)) > 0.0) is fits
 
 
-@pytest.mark.parametrize(("width_in", "speed_in_s"), [(23.0, 2.0), (24.0, 2.0), (30.0, 4.5), (37.0, 4.5), (21.0, 0.0)])
+@pytest.mark.parametrize(("width_in", "speed_in_s"), [
+    (21.0, 0.0), (23.0, 2.0), (24.0, 2.0), (27.0, 4.5), (37.0, 4.5), (50.0, 0.0),
+])
 def test_a_door_of_the_map_is_passed_faster_than_a_gap(width_in: float, speed_in_s: float) -> None:
     motion = _Motion(WaypointDriver([]), SpeedGuard(N150), MODEL_LIMITS["n150"], None)
     mapper = SoundMap(60.0)
     # Both posts beside the robot, of walls across its way; 8 in beyond the door there is nothing.
     half = 0.5 * width_in
-    mapper.walls = np.array([(2.0, half, 2.0, 60.0), (2.0, -60.0, 2.0, -half)])
+    mapper.walls = np.array([(0.5, half, 0.5, 60.0), (0.5, -60.0, 0.5, -half)])
     found = motion._gap_in_s(np.zeros(3), np.zeros(3), 0.0, cast("LiveMapper", mapper))
     assert found == speed_in_s
+    # What has come between the robot and a post that is nearer than sonars measure would not show.
+    motion._guard.add(0.0, np.zeros(3), pi / 2.0, 6.0)
+    found = motion._gap_in_s(np.zeros(3), np.zeros(3), 0.0, cast("LiveMapper", mapper))
+    assert found == (GAP_IN_S if 22.0 < width_in < 28.0 else 0.0)
 
 
 

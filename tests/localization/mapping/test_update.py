@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
+from localization.mapping import update
 from localization.mapping.association import MapEstimate
 from localization.mapping.output import MapRefused
 from localization.mapping.update import MapDifference, compare
+from localization.mapping.walls import extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import LAP, ROOM
 from worlds.io import format_world, load_world
@@ -38,6 +40,20 @@ def test_drive_confirms_the_map(estimate: MapEstimate) -> None:
     np.testing.assert_allclose(found.world.walls, WALLS, atol=1e-3)
     # The lap ends near where it began.
     np.testing.assert_allclose(found.pose[:2], LAP[-1], atol=3.0)
+
+
+@pytest.mark.parametrize(("echoes", "changes"), [(0, []), (9, ["new"])])
+def test_walls_without_echoes_are_no_change(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, echoes: int, changes: list[str]
+) -> None:
+    # Such as the end of a thick wall: here 5 in on the line of a wall, 200 in beyond it.
+    pieces = extract_walls(estimate)
+    along = (pieces[0].ends[1] - pieces[0].ends[0]) / pieces[0].length_in
+    start = pieces[0].high + 200.0
+    ends = pieces[0].ends[1] + np.outer((200.0, 205.0), along)
+    end = replace(pieces[0], low=start, high=start + 5.0, ends=ends, echoes=echoes)
+    monkeypatch.setattr(update, "extract_walls", lambda _: [*pieces, end])
+    assert [change.kind for change in differences(WALLS, estimate).changes] == changes
 
 
 def test_wall_has_moved_with_its_corners(estimate: MapEstimate) -> None:

@@ -13,7 +13,7 @@ from localization.filters.belief import Floats
 from localization.mapping import association, learn, output, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import close_wall_ends, join_points, prune, swallow
+from localization.mapping.learn import close_wall_ends, find_undecided, join_points, prune, swallow
 from localization.mapping.measurements import rotate
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, Levels
@@ -427,7 +427,9 @@ def thick_wall(
     """Return a map of the faces x = 0 and x = 5 from y = 0 to 100, measured from outside, and points, all turned."""
     made = like.copy()
     places = rotate(np.array(points).reshape(-1, 2), np.full(len(points), turn))
-    made.state = replace(like.state, walls=np.array([(turn, 0.0), (turn, 5.0)]), points=places)
+    # The robot was far away.
+    far = like.state.poses + np.array((1000.0, 0.0, 0.0))
+    made.state = replace(like.state, poses=far, walls=np.array([(turn, 0.0), (turn, 5.0)]), points=places)
     made.extents, made.sides = np.array([(0.0, 98.0), (0.0, 97.0)]), np.array(sides)
     made.runs = np.array([(0.0, 0.0, 98.0), (1.0, 0.0, 97.0)])
     return made
@@ -475,11 +477,18 @@ def test_nothing_ends_at_a_junction_or_where_sound_has_passed(estimate: MapEstim
     starts, ends = np.array([(2.0, 120.0), (3.0, 120.0)]), np.array([(2.0, 90.0), (3.0, 90.0)])
     assert find_wall_ends(made, (starts, ends)) == []
     assert len(find_wall_ends(made, (starts[:1], ends[:1]))) == 1
+    assert len(find_wall_ends(made, (starts - (2.0, 0.0), ends - (2.0, 0.0)))) == 1
+    # One of the robot is none.
+    driven = replace(made.state, poses=np.column_stack((np.concatenate((starts[:1], ends[:1])), np.zeros(2))))
+    assert find_wall_ends(replace(made, state=driven), NOTHING) == []
     # 2. The wall y = 100, which goes on beyond the corner: the faces meet it.
     made.add_wall(np.array((np.pi / 2.0, 100.1)), np.array((-60.0, -5.0)), -1.0)
     assert find_wall_ends(made, NOTHING) == []
     # One that was measured between the corners alone is the end itself.
     made.narrow(2, np.array((-5.0, 0.0)))
+    assert len(find_wall_ends(made, NOTHING)) == 1
+    # One that is far away on the same line is another wall.
+    made.narrow(2, np.array((-400.0, -300.0)))
     assert len(find_wall_ends(made, NOTHING)) == 1
 
 
@@ -501,3 +510,15 @@ def test_ends_of_thick_walls_are_walls_of_the_map(estimate: MapEstimate) -> None
     np.testing.assert_allclose(made.extents[-1], np.sort(corners @ (-np.sin(angle), np.cos(angle))), atol=0.01)
     # Once is enough.
     assert close_wall_ends(made) == 0
+
+
+def test_ends_of_thick_walls_leave_nothing_undecided(estimate: MapEstimate) -> None:
+    # An end of 10 in that is 6 in beside a wall of the room: without it nothing costs more.
+    made = estimate.copy()
+    assert find_undecided(made) == []
+    x = min(float(wall.ends[:, 0].max()) for wall in extract_walls(made, with_accuracy=False)) - 6.0
+    for y, side in ((20.0, -1.0), (30.0, 1.0)):
+        made.add_wall(np.array((np.pi / 2.0, y)), np.array((-x, 60.0 - x)), side)
+        made.add_point(np.array((x, y)))
+    assert close_wall_ends(made) == 1
+    assert find_undecided(made) == []
