@@ -624,10 +624,12 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     """Return which points are hidden from behind which faces.
 
     An inner corner is on a face and a wall that goes on in front of it: behind it there is the corner of the next room.
-    A point within a face is hidden as well. Both edges of a door in a face are: from behind, the edge on that side of
-    the wall is nearer, in about the same direction, and echoes first. Once that edge is known, the point is seen past
-    it through the door, and hidden by the wall itself. Another end of a face may be the corner of a box, which is seen
-    from beside the face, or the end of a wall too thin to have two edges.
+    A point within a face is hidden as well. Both edges of a door are at which all that is known of a face ends: from
+    behind, the edge on that side of the wall is nearer, in about the same direction, and echoes first. Once that edge
+    is known, the point is seen past it through the door, and hidden by the wall itself. If the face is known on both
+    sides of the door, its edges are what tells the robot in the door where it is, though some echoes are of the others.
+    Another end of a face may be the corner of a box, which is seen from beside the face, or the end of a wall too thin
+    to have two edges.
     """
     state, extents, sides = estimate.state, estimate.extents, estimate.sides
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
@@ -651,10 +653,10 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     ends = ends_of_parts(parts, along)
     is_across = onward > MIN_DOOR_IN
     wall_side = np.where(is_across.any(axis=-1), is_across @ np.array((-1.0, 1.0)), ends.side)
-    # 4. Edges of doors: with a part, or another point, at the distance of a door beyond them.
+    # 4. Edges of doors at the end of a face: across one, or with another point at that distance beyond them.
     is_door = is_across & (onward < MAX_DOOR_IN)
-    has_door = is_door.any(axis=-1) | ((ends.beyond_in > MIN_DOOR_IN) & (ends.beyond_in < MAX_DOOR_IN))
-    has_door |= ((np.abs(onward) < END_IN) & (on_wall[..., None] & is_door).any(axis=0)).any(axis=-1)
+    at_end = np.abs(onward) < END_IN
+    has_door = is_door.any(axis=-1) | (at_end & (on_wall[..., None] & is_door).any(axis=0)).any(axis=-1)
     # 5. Is the other edge of the wall known, behind this one?
     behind = (off[:, None] - off) * sides
     has_other = ((behind > MIN_THICKNESS_IN) & (behind < MAX_THICKNESS_IN)
@@ -688,12 +690,11 @@ def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
 class PartEnds:
     """Points near ends of the parts of walls, each (v, w).
 
-    `side` is 1 where the nearest part begins at a point, -1 where it ends, else 0. `beyond_in` is the distance of the
-    next part on the other side, inf without one. `is_within` is True for points inside of a part.
+    `side` is 1 where the nearest part begins at a point, -1 where it ends, else 0. `is_within` is True for points
+    inside of a part.
     """
 
     side: Floats
-    beyond_in: Floats
     is_within: Mask
 
 
@@ -710,8 +711,7 @@ def ends_of_parts(parts: Floats, along: Floats) -> PartEnds:
         up[:, number] = np.where(is_below, np.minimum(up[:, number], np.abs(low - at)), up[:, number])
         is_within[:, number] |= ~is_above & ~is_below
     is_near = (np.minimum(down, up) < MAX_GAP_IN) & ~is_within
-    side = np.where(is_near, np.where(down < up, -1.0, 1.0), 0.0)
-    return PartEnds(side, np.where(side == 0.0, np.inf, np.where(side < 0.0, up, down)), is_within)
+    return PartEnds(np.where(is_near, np.where(down < up, -1.0, 1.0), 0.0), is_within)
 
 
 def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:

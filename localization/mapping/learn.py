@@ -216,6 +216,11 @@ class MapLearner:
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
+        # Walls that were two by the weights of before.
+        if merge(self.estimate):
+            tie_points(self.estimate)
+            self.estimate.optimize(LAST_STEPS)
+            self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
         close_wall_ends(self.estimate)
