@@ -139,7 +139,8 @@ class MapEstimate:
     runs: Floats = field(default_factory=lambda: np.empty((0, 3)))
     sides: Floats = field(default_factory=lambda: np.empty(0))
     expects_first_echoes: bool = False
-    """True for a finished map, whose walls must return the first echo (`_are_behind`); a wrong wall would take more."""
+    """True for a finished map, whose walls must return the first echo (`_are_behind`). While a map grows, a wrong wall
+    would take echoes of others."""
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
@@ -627,7 +628,7 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     A point within a face is hidden as well. Both edges of a door are at which all that is known of a face ends: from
     behind, the edge on that side of the wall is nearer, in about the same direction, and echoes first. Once that edge
     is known, the point is seen past it through the door, and hidden by the wall itself. If the face is known on both
-    sides of the door, its edges are what tells the robot in the door where it is, though some echoes are of the others.
+    sides of the door, its edges are what locates a robot in the door, though some echoes are of the other edges.
     Another end of a face may be the corner of a box, which is seen from beside the face, or the end of a wall too thin
     to have two edges.
     """

@@ -550,7 +550,7 @@ class _Motion:
     def _gap_in_s(self, pose: Floats, encoders: Floats, direction_rad: float, mapper: LiveMapper) -> float:
         """Return the speed in a gap of the map: 0 unless this shows space ahead, and all that the sonars measure near.
 
-        A reading counts as a wall that goes on for ever; the map tells that it ends at a door.
+        A reading counts as a wall that goes on for ever; the map shows that it ends at a door.
         """
         if not mapper.is_sound or not len(walls := mapper.walls_facing(pose[:2])):
             return 0.0

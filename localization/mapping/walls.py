@@ -299,8 +299,6 @@ class Span:
         Widest part of the span at which none of them was directed, inches.
     closes_outline
         Whether three walls lead from one point to the other: it is the fourth side of a box.
-    ends_wall
-        Whether both faces of a wall end there: it is the reveal of a door, or another end of a thick wall.
     """
 
     one: int
@@ -309,14 +307,13 @@ class Span:
     stopped: int
     gap_in: float = 0.0
     closes_outline: bool = False
-    ends_wall: bool = False
 
     @property
     def is_wall(self) -> bool:
         """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
         is_silent = self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
         is_short = float(np.hypot(*(self.ends[2:] - self.ends[:2]))) <= MAX_SILENT_IN
-        return self.ends_wall or (is_short and (is_silent or self.closes_outline))
+        return is_short and (is_silent or self.closes_outline)
 
 
 def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
@@ -397,7 +394,7 @@ def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[
     # 2. The squarest where a corner is more than one point; one that nothing has crossed, and that is no junction.
     found, path = list[Span](), estimate.state.poses[:, :2]
     for _, one, other in sorted(candidates, reverse=True):
-        span = Span(one, other, np.concatenate((points[one], points[other])), 0, ends_wall=True)
+        span = Span(one, other, np.concatenate((points[one], points[other])), 0)
         inner = span.ends + np.tile(END_MARGIN * (points[other] - points[one]), 2) * (1.0, 1.0, -1.0, -1.0)
         # A path of sound may be a mistake, one of the robot is none.
         is_crossed = int(crossings(*paths, inner[None]).sum()) >= MIN_CROSSINGS

@@ -637,8 +637,6 @@ def test_a_door_of_the_map_is_passed_faster_than_a_gap(width_in: float, speed_in
     assert found == (GAP_IN_S if 22.0 < width_in < 28.0 else 0.0)
 
 
-
-
 @pytest.mark.parametrize("aside_in", [0.0, -3.0, 7.0])
 def test_end_of_a_wall_of_the_map_stops_the_robot(aside_in: float) -> None:
     motion = _Motion(WaypointDriver([]), SpeedGuard(N150), MODEL_LIMITS["n150"], None)

@@ -439,7 +439,6 @@ def thick_wall(
 def test_a_thick_wall_ends_where_both_faces_do(estimate: MapEstimate, turn: float) -> None:
     (span,) = find_wall_ends(thick_wall(estimate, turn, CORNERS), NOTHING)
     assert {span.one, span.other} == {0, 1}
-    assert span.is_wall
     np.testing.assert_allclose(rotate(span.ends.reshape(2, 2), np.full(2, -turn)), CORNERS, atol=1e-9)
     # The other ends of the faces are not known.
     both = [*CORNERS, (0.0, 0.5), (5.0, -0.5)]
