@@ -39,6 +39,7 @@ class Program:
 
     def __init__(self, process: Forked) -> None:
         # Threads read the pipes, so that a program that prints nothing cannot block the test.
+        self._readers: list[threading.Thread] = []
         self.out, self.err = (self._lines(pipe) for pipe in (process.stdout, process.stderr))
 
     def rest(self) -> list[str]:
@@ -46,6 +47,11 @@ class Program:
         with contextlib.suppress(queue.Empty):
             return [self.err(0.5), *self.rest()]
         return []
+
+    def wait_for_readers(self) -> None:
+        """Wait until all lines of a program that has ended are read: then its pipes may be closed."""
+        for reader in self._readers:
+            reader.join(10.0)
 
     def _lines(self, pipe: IO[str] | None) -> Callable[..., str]:
         lines: queue.Queue[str] = queue.Queue()
@@ -55,7 +61,8 @@ class Program:
             for line in pipe:
                 lines.put(line)
 
-        threading.Thread(target=read, daemon=True).start()
+        self._readers.append(threading.Thread(target=read, daemon=True))
+        self._readers[-1].start()
         return lambda patience_s=10.0: lines.get(timeout=patience_s)
 
 
@@ -78,6 +85,7 @@ def program(
             except subprocess.TimeoutExpired:
                 process.kill()
                 raise
+            output.wait_for_readers()
         assert code == ends, "".join(output.rest())
 
 
