@@ -97,6 +97,9 @@ GAP_SPACE_IN, DOOR_SPACE_AHEAD_IN = 1.2, 3.0
 """Space beside the body in a gap, and in a door."""
 MAP_MARGIN_IN: Final = 0.8
 """Space beside the body to walls of the map, below which it does not approach them. Paths leave `explore.MARGIN_IN`."""
+BESIDE_MARGIN_IN, ALONG_IN = 2.0, 0.05
+"""The same beside what is nearer than sonars measure, unless there is such a wall at both sides: the map may have it an
+inch farther off than it is, and nothing shows that. What nears it by less than ALONG_IN a step leads along it."""
 MAP_STEPS_IN: Final = tuple(0.5 * step for step in range(1, 29))
 """Where the map is looked up: as far as the robot drives in REACTION_S at 9 in/s."""
 DOOR_SPACE_IN: Final = 1.2
@@ -206,6 +209,8 @@ class SpeedGuard:
         self._touched: list[Point] = []
         self.is_blind = False
         """True if something was nearer aside than sonars measure, at the last question."""
+        self.is_beside = False
+        """True if something ahead or aside was nearer than sonars measure, at the last question."""
         self.confirmed_in = inf
         """The free distance at the last question without the reading that left least of it: that may be a bad one."""
 
@@ -323,7 +328,7 @@ class SpeedGuard:
 
     def free_in(self, encoders: Floats, direction_rad: float) -> float:
         """Return how far the body may move from an encoder pose in a direction; inf if nothing is ahead."""
-        spots_in, self.is_blind = self.free_of_spots_in(encoders, direction_rad), False
+        spots_in, self.is_blind, self.is_beside = self.free_of_spots_in(encoders, direction_rad), False, False
         nearest = second = inf
         # Where the robot comes from it has space, unless something has moved straight into its way.
         zone = DRIVEN_ZONE_RAD if self.comes_from(encoders, direction_rad) else DEAD_ZONE_RAD
@@ -333,6 +338,7 @@ class SpeedGuard:
                 continue
             if wall.reading_in <= self.shortest_in:
                 self.is_blind |= off >= zone
+                self.is_beside = True
                 free = 0.0 if off < zone else inf
             else:
                 free = max(wall.range_from(encoders) - self.body_in - GUARD_MARGIN_IN, 0.0) / cos(off)
@@ -529,12 +535,17 @@ class _Motion:
         is_held = self._leg is None or self._back_off is not None or self._blocked_since_s < inf
         return None if self._leg is None or is_held else self._leg.goal
 
-    def _free_of_map_in(self, pose: Floats, direction_rad: float, mapper: LiveMapper) -> float:
-        """Return how far the body may move until a wall of a sound map is too near; inf if none is within 14 in."""
+    def _free_of_map_in(
+        self, pose: Floats, direction_rad: float, mapper: LiveMapper, margin_in: float = MAP_MARGIN_IN
+    ) -> float:
+        """Return how far the body may move until a wall of a sound map is too near; inf if none is within 14 in.
+
+        Within `margin_in` of a wall it may still drive along it, but come no nearer than MAP_MARGIN_IN.
+        """
         if not mapper.is_sound or not len(mapper.walls):
             return inf
         body_in, walls, path = self._guard.body_in, mapper.walls, mapper.poses[:, :2]
-        near = walls[nearest_points(pose[None, :2], walls)[1][0] < body_in + MAP_STEPS_IN[-1] + MAP_MARGIN_IN]
+        near = walls[nearest_points(pose[None, :2], walls)[1][0] < body_in + MAP_STEPS_IN[-1] + margin_in]
         # Where the robot has driven through a wall of the map there is a door.
         has_door = crossings(path[:-1], path[1:], near).any(axis=0)
         near = np.concatenate((near[~has_door], passed(near[has_door], path, body_in + DOOR_SPACE_IN)))
@@ -543,7 +554,7 @@ class _Motion:
         places = pose[:2] + np.outer((0.0, *MAP_STEPS_IN), np.array((cos(direction_rad), sin(direction_rad))))
         spaces = (wall_distances(places, near) - body_in).tolist()
         for moved_in, (before, space) in zip((0.0, *MAP_STEPS_IN), pairwise(spaces), strict=False):
-            if space < min(before, MAP_MARGIN_IN):
+            if space < min(before, MAP_MARGIN_IN) or space < min(before - ALONG_IN, margin_in):
                 return moved_in
         return inf
 
@@ -571,6 +582,14 @@ class _Motion:
             return 0.0
         is_door = spaces.min() > DOOR_SPACE_AHEAD_IN and bool((beams[:, 3] > self._guard.shortest_in).all())
         return DOOR_IN_S if is_door else GAP_IN_S
+
+    def _is_between(self, pose: Floats, mapper: LiveMapper) -> bool:
+        """Return True if the map shows walls at both sides of the body that are too near to be measured."""
+        walls = mapper.walls_facing(pose[:2])
+        off = rotate(nearest_points(pose[None, :2], walls)[0][0] - pose[:2], np.full(len(walls), -float(pose[2])))
+        reach_in = self._guard.body_in + self._guard.shortest_in + GUARD_MARGIN_IN
+        aside = off[(np.abs(off[:, 1]) > np.abs(off[:, 0])) & (np.hypot(*off.T) < reach_in), 1]
+        return bool((aside > 0.0).any() and (aside < 0.0).any())
 
     def _give_up(self, pose: Floats, reason: str, back_rad: float) -> None:
         if self._leg is not None:
@@ -602,7 +621,10 @@ class _Motion:
             of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
             allowed = min(gap_in_s, of_spots_in / REACTION_S)
         # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
-        of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper) / REACTION_S
+        margin_in = MAP_MARGIN_IN
+        if self._guard.is_beside and not self._is_between(pose, mapper):
+            margin_in = BESIDE_MARGIN_IN
+        of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper, margin_in) / REACTION_S
         allowed, confirmed = min(allowed, of_map), min(confirmed, of_map)
         assert self._leg is not None
         is_optional = self._leg.is_optional(pose)

@@ -21,6 +21,8 @@ from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, compare_rounds, read_drive
 from localization.mapping.survey import (
     GAP_IN_S,
+    MIN_SPEED_IN_S,
+    REACTION_S,
     Geofence,
     Plan,
     SpeedGuard,
@@ -687,6 +689,39 @@ def test_wall_too_near_to_measure_is_followed_for_8_in_in_all() -> None:
     assert [point for point, _ in driver.skipped] == [(11.0, 0.0)]
     assert 8.0 < max(path) < 8.4
     assert path[-1] < 2.1
+
+
+@pytest.mark.parametrize(("left_y_in", "slope", "other_y_in", "until_in"), [
+    (13.0, 0.27, None, 2.0),  # a wall to the left that comes nearer by 15 degrees
+    (13.0, 0.27, -20.0, 2.0),  # the wall to the right can be measured
+    (13.0, 0.27, -14.0, 0.8),  # a gap
+    (11.0, 0.0, None, None),  # a wall parallel to the way
+])  # fmt: skip
+def test_beside_one_wall_too_near_to_measure_the_map_leaves_more_space(
+    left_y_in: float, slope: float, other_y_in: float | None, until_in: float | None
+) -> None:
+    guard, driver = SpeedGuard(N150), WaypointDriver([(20.0, 0.0)])
+    motion = _Motion(driver, guard, MODEL_LIMITS["n150"], None)
+    mapper = SoundMap(60.0)
+    mapper.walls = np.array([(-60.0, left_y_in + 60.0 * slope, 60.0, left_y_in - 60.0 * slope)])
+    if other_y_in is not None:
+        mapper.walls = np.concatenate((mapper.walls, [(-60.0, other_y_in, 60.0, other_y_in)]))
+    pose = np.zeros(3)
+    for step in range(300):
+        guard.add(0.1 * step, np.append(pose, 0.0), 0.5 * pi, N150.ring.min_range_in)
+        command = motion.command(0.1 * step, False, pose, pose, cast("LiveMapper", mapper))
+        if not driver.remaining:
+            break
+        assert isinstance(command, VelocityCommand)
+        pose = pose + np.array((0.1 * command.translation_in_s, 0.0, 0.0))
+    if until_in is None:
+        assert pose[0] > 18.0
+        return
+    # What is left beside the body after the distance in which it would stop.
+    assert driver.skipped == [((20.0, 0.0), "blocked")]
+    ahead_in = REACTION_S * MIN_SPEED_IN_S
+    left_in = (left_y_in - slope * (float(pose[0]) + ahead_in)) / (1.0 + slope**2) ** 0.5 - N150.radius_in
+    assert until_in <= left_in < until_in + 0.15
 
 
 class OnePlan:
