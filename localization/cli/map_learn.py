@@ -34,7 +34,7 @@ from localization.live.run import GroundTruth, Publisher
 from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import Explorer
-from localization.mapping.learn import LEVEL_ROUGHNESS_IN, ROUGHNESS_IN, MapLearner
+from localization.mapping.learn import LEVEL_ROUGHNESS_IN, ROUGHNESS_IN, MapLearner, learn_log
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import DriveCollector, DriveLog, drive_of_rows, read_drive
 from localization.mapping.output import LearnedMap, MapPublisher, describe, draw_learned, summary
@@ -238,13 +238,10 @@ def learn_drive(options: argparse.Namespace, source: Source) -> tuple[MapLearner
     by_default = options.roughness is None and options.sonars == BUILDING_SETUP
     found: list[tuple[MapLearner, LearnedMap]] = []
     for roughness_in in (options.roughness, PLANE_ROUGHNESS_IN) if by_default else (options.roughness,):
-        learner = MapLearner(
+        learner = learn_log(
             source.log, options.odometry_noise, source.sonar, rays=has_rays(options), roughness_in=roughness_in,
             scale_stds=options.scale_std,
         )
-        while not learner.is_complete:
-            learner.advance()
-        learner.finish()
         unexplored = _unexplored(learner.estimate, source.body)
         found.append((learner, describe(learner.estimate, learner.turret_rad, learner.rest, unexplored)))
         if not found[-1][1].reason_to_refuse():

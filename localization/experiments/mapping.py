@@ -489,7 +489,8 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         if is_near.mean() < FOUND_FRACTION:
             false += 1
             continue
-        offset, angle = _error(learned, lines)
+        measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
+        offset, angle = _error(learned, measured.mean(axis=0), lines)
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
@@ -559,12 +560,13 @@ def _turn_between(wall: Floats, learned: Floats) -> float:
     return abs(wrap_angle(2.0 * turn)) / 2.0
 
 
-def _error(learned: Floats, walls: Floats) -> tuple[float, float]:
-    """Return offset (in) and angle (deg) of a learned wall (2, 2) from the nearest wall of about its direction."""
+def _error(learned: Floats, middle: Floats, walls: Floats) -> tuple[float, float]:
+    """Return offset (in) and angle (deg) of a learned wall (2, 2) from the nearest wall of about its direction.
+
+    The offset is that at the middle (2,) of the part that was measured, of which the stated deviation is.
+    """
     parallel = np.array([_turn_between(wall, learned) < radians(20.0) for wall in walls])
     candidates = walls[parallel] if parallel.any() else walls
-    # The middle of the part that was measured.
-    middle = learned.mean(axis=0)
     near = candidates[nearest_points(middle[None], candidates)[1][0].argmin()]
     along = (near[2:] - near[:2]) / lengths(near)
     off = middle - near[:2]

@@ -36,7 +36,7 @@ from localization.filters.sonar_cone import cone_sonar
 from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import LOOP_NODES, MIN_RETURN_ECHOES
-from localization.mapping.learn import MapLearner
+from localization.mapping.learn import learn_log
 from localization.mapping.measurements import Indices, drive_of_rows, rotate
 from localization.mapping.output import LearnedMap, describe, draw_learned
 from localization.mapping.problem import COMMON_OFFSET
@@ -363,11 +363,8 @@ def learn_flight(log: Path, model: Path, settings: FlightSettings) -> tuple[MapE
     body = list(load_bodies(model).values())[-1]
     rows = without_echo(read_log(log), body.ring)
     drive = drive_of_rows(rows, body, is_omnidirectional=True, delay_s=settings.delay_s)
-    learner = MapLearner(drive, OdometryNoise(*settings.noise), cone_sonar(body.ring), rays=True,
-                         roughness_in=settings.roughness_in, scale_stds=settings.scale_stds)  # fmt: skip
-    while not learner.is_complete:
-        learner.advance()
-    learner.finish()
+    learner = learn_log(drive, OdometryNoise(*settings.noise), cone_sonar(body.ring), rays=True,
+                        roughness_in=settings.roughness_in, scale_stds=settings.scale_stds)  # fmt: skip
     return learner.estimate, describe(learner.estimate, learner.turret_rad, learner.rest)
 
 

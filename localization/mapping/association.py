@@ -346,9 +346,14 @@ class MapEstimate:
         return segments_of(walls, self.runs[:, 1:], BLOCKED_IN)
 
     @property
+    def surface_in(self) -> float:
+        """How far the surface of a wall may be from its line, inches; 0 for planes."""
+        return SURFACE_SIGMAS * self.problem.reflection.surface_std_in
+
+    @property
     def blocked_in(self) -> float:
         """A path is blocked by a wall at least this far before its end, inches."""
-        return BLOCKED_IN + SURFACE_SIGMAS * self.problem.reflection.surface_std_in
+        return BLOCKED_IN + self.surface_in
 
     def narrow(self, wall: int, extent: Floats) -> None:
         """Set the extent (2,) of a wall, of which all is measured."""
@@ -545,6 +550,8 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
+    if estimate.surface_in:
+        residual[:, : len(walls)][_are_of_ends(estimate, residual, spots)] = np.inf
     hidden = _hidden_points(estimate)
     row, pair = np.nonzero(hidden.hides(sensors.face, is_back, walls))
     residual[row, len(walls) + hidden.points[pair]] = np.inf
@@ -562,6 +569,24 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     is_explained = np.isfinite(left)
     cost = np.where(is_explained, robust_cost(np.where(is_explained, left, 0.0)), ROBUST_LIMIT**2)
     return np.where(is_explained, best, NO_FEATURE), cost
+
+
+def _are_of_ends(estimate: MapEstimate, residual: Floats, spots: Floats) -> Mask:
+    """Return True (e, w) for echoes with their foot beyond the end of a wall that are of the end: a point.
+
+    A level there would explain them as well, and turn the line of the wall.
+    """
+    state, count = estimate.state, len(estimate.state.walls)
+    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
+    along = state.points[:, 1:] * c - state.points[:, :1] * s
+    across = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1])
+    side = ends_of_parts(parts_of(estimate.runs, estimate.extents), along).side
+    feet = spots[:, :count, 1] * c - spots[:, :count, 0] * s
+    found = np.zeros(feet.shape, dtype=np.bool_)
+    for point, wall in np.argwhere((across < estimate.surface_in) & (side != 0.0)):
+        beyond = side[point, wall] * (along[point, wall] - feet[:, wall])
+        found[:, wall] |= (beyond > 0.0) & (beyond < MIN_DOOR_IN) & (np.abs(residual[:, count + point]) < FIRST_SIGMAS)
+    return found
 
 
 def _are_behind(

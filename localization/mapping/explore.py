@@ -38,16 +38,9 @@ from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
 from localization.mapping.live import LiveMapper, passed, walls_and_posts
 from localization.mapping.problem import NO_FEATURE, sensors_at
+from localization.mapping.spans import POINT_ON_LINE_IN, pass_through, uncrossed_spans
 from localization.mapping.survey import REVERSE_RAD, Geofence, Plan, Point
-from localization.mapping.walls import (
-    ON_LINE_IN,
-    POINT_ON_LINE_IN,
-    Piece,
-    extract_walls,
-    free_paths,
-    pass_through,
-    uncrossed_spans,
-)
+from localization.mapping.walls import ON_LINE_IN, Piece, extract_walls, free_paths
 from localization.navigation.path import angle_difference, wall_distances
 from localization.navigation.roadmap import segment_clearances
 from nclient.errors import install_command

@@ -66,21 +66,21 @@ from localization.mapping.problem import (
     Reflection,
     sensors_at,
 )
-from localization.mapping.walls import (
+from localization.mapping.spans import (
     MAX_SPAN_IN,
     MIN_CORNER_RAD,
-    REACH_IN,
     Span,
-    extract_walls,
     find_wall_ends,
-    free_paths,
     pass_through,
     uncrossed_spans,
     walls_along,
 )
+from localization.mapping.walls import REACH_IN, extract_walls, free_paths
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
+LEVEL_ROUNDS: Final = (16, 24)
+"""Nodes of a round that are tried where walls have levels: an early mistake of one is none of the other."""
 TRACKED_NODES: Final = 2
 WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
@@ -223,6 +223,7 @@ class MapLearner:
             self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
+        part_surfaces(self.estimate)
         close_wall_ends(self.estimate)
 
 
@@ -267,15 +268,37 @@ def update_features(estimate: MapEstimate, first_node: int) -> None:
         estimate.optimize()
 
 
+def learn_log(
+    log: DriveLog,
+    noise: OdometryNoise,
+    sonar: ConeSonar,
+    *,
+    rays: bool = False,
+    roughness_in: float | None = None,
+    scale_stds: tuple[float, ...] = (),
+) -> MapLearner:
+    """Return the learner of a drive after its end; see `MapLearner` for the parameters.
+
+    Walls with levels make maps that differ with the nodes of a round: of LEVEL_ROUNDS, the cheapest map.
+    """
+    has_levels = reflection_of(sonar, roughness_in)[1] is not PLANES
+    learners = []
+    for nodes in LEVEL_ROUNDS if has_levels else (NODES_PER_ROUND,):
+        learner = MapLearner(
+            log, noise, sonar, rays=rays, roughness_in=roughness_in, scale_stds=scale_stds, nodes_per_round=nodes
+        )
+        while not learner.is_complete:
+            learner.advance()
+        learner.finish()
+        learners.append(learner)
+    return min(learners, key=lambda learner: learner.estimate.cost)
+
+
 def learn_map(
     log: DriveLog, noise: OdometryNoise, sonar: ConeSonar, *, rays: bool = False, roughness_in: float | None = None
 ) -> MapEstimate:
     """Return the map of a drive; see `MapLearner` for the parameters."""
-    learner = MapLearner(log, noise, sonar, rays=rays, roughness_in=roughness_in)
-    while not learner.is_complete:
-        learner.advance()
-    learner.finish()
-    return learner.estimate
+    return learn_log(log, noise, sonar, rays=rays, roughness_in=roughness_in).estimate
 
 
 # Revision.
@@ -292,8 +315,8 @@ def prune(estimate: MapEstimate, first_node: int = 0) -> int:
         walls = len(estimate.state.walls)
         penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
         penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
-        penalties[:walls][_are_spans(estimate)] = 0.0
         penalties[:walls] += estimate.surface_costs
+        penalties[:walls][_are_spans(estimate)] = 0.0
         worst = int((losses - penalties).argmin())
         if losses[worst] >= penalties[worst]:
             break
@@ -306,7 +329,8 @@ def prune(estimate: MapEstimate, first_node: int = 0) -> int:
 def _are_spans(estimate: MapEstimate) -> Mask:
     """Return True (w,) for walls through two points between which sound should have passed, and has not."""
     spans = [span.ends for span in uncrossed_spans(estimate, free_paths(estimate)) if span.is_wall]
-    return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), TIE_IN).any(axis=1))
+    within_in = TIE_IN + estimate.surface_in
+    return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), within_in).any(axis=1))
 
 
 def _losses(estimate: MapEstimate, first_node: int) -> Floats:
@@ -358,6 +382,19 @@ def split(estimate: MapEstimate) -> int:
             estimate.replace_by(best)
             divided += 1
     return divided
+
+
+def part_surfaces(estimate: MapEstimate) -> None:
+    """Replace walls with levels that have a wide gap by one for each part.
+
+    Levels are independent across a gap, so one line through both parts would be the line of neither.
+    """
+    if not estimate.surface_in:
+        return
+    for wall in range(len(estimate.state.walls)):
+        runs = estimate.runs[estimate.runs[:, 0] == wall, 1:]
+        if len(runs) > 1:
+            estimate.replace_by(_parted(estimate, wall, runs))
 
 
 def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: bool = False) -> MapEstimate:
@@ -566,19 +603,23 @@ def join_points(estimate: MapEstimate) -> int:
     """
     joined, tried = 0, set[tuple[float, ...]]()
     while True:
-        spans = uncrossed_spans(estimate, free_paths(estimate))
-        span = next((span for span in spans if tuple(span.ends.tolist()) not in tried), None)
-        if span is None:
+        for span in uncrossed_spans(estimate, free_paths(estimate)):
+            key = tuple(span.ends.tolist())
+            if key in tried:
+                continue
+            tried.add(key)
+            if _try_join(estimate, span):
+                joined += 1
+                break
+        else:
             return joined
-        tried.add(tuple(span.ends.tolist()))
-        joined += _try_join(estimate, span)
 
 
 def _have_ends(estimate: MapEstimate) -> Mask:
     """Return True (w,) for walls with a point on their line beyond either end, which determine it."""
     walls, points = estimate.state.walls, estimate.state.points
     c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
-    on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < TIE_IN
+    on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < TIE_IN + estimate.surface_in
     along = c * points[:, 1] - s * points[:, 0]
     low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
     before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_SPAN_IN)
@@ -591,7 +632,7 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
     state, problem = estimate.state, estimate.problem
     # 1. The line through both.
     line, extent = _line_of(span)
-    if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN).any():
+    if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN + estimate.surface_in).any():
         return False
     # 2. It must explain echoes of its inner part that no wall explains.
     if not span.is_wall:
@@ -607,7 +648,8 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         if supports.sum() < MIN_JOIN_ECHOES:
             return False
     trial = _with_wall(estimate, line, extent)
-    if trial.cost - PENALTY["wall"] + (0.0 if span.is_wall else JOINED_PENALTY) > estimate.cost:
+    penalty = PENALTY["wall"] + float(trial.surface_costs[-1]) if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
+    if trial.cost - penalty > estimate.cost:
         return False
     estimate.replace_by(trial)
     return True
@@ -654,8 +696,10 @@ def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstima
     c, s = np.cos(line[0]), np.sin(line[0])
     along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
     between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
-    for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
-        trial.remove(len(state.walls) + int(number))
+    # A wall with a surface has posts.
+    if not estimate.surface_in:
+        for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
+            trial.remove(len(state.walls) + int(number))
     trial.add_wall(line, extent)
     for _ in range(2):
         trial.associate()

@@ -42,10 +42,10 @@ from localization.mapping.learn import find_undecided
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
+from localization.mapping.spans import SAME_CORNER_IN
 from localization.mapping.survey import SurveyStep
 from localization.mapping.walls import (
     MAX_STD_IN,
-    SAME_CORNER_IN,
     Outline,
     Piece,
     axes_rad,

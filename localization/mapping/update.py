@@ -25,15 +25,8 @@ from localization.mapping.association import MapEstimate, Mask
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.output import MapRefused, describe
 from localization.mapping.problem import robust_weight
-from localization.mapping.walls import (
-    MIN_CORNER_RAD,
-    SMALL_GAP_IN,
-    Piece,
-    crossed_at,
-    extract_walls,
-    free_paths,
-    surface_lines,
-)
+from localization.mapping.spans import MIN_CORNER_RAD
+from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths, surface_lines
 from worlds.geometry import lengths, nearest_points
 from worlds.world import StartPose, WallAccuracy, World
 

@@ -3,7 +3,7 @@
     1. pieces     runs of reflecting spots along a line, cut at wide gaps and where sound or the robot has crossed it
     2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
     3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end;
-                  where both faces of a thick wall end, a wall leads from corner to corner (`find_wall_ends`)
+                  walls between two points are found by what was not measured between them (spans.py)
     4. accuracy   covariance of the walls after the best rigid fit, since the frame of a map is free
     5. outlines   sides and corners of boxes that lead around a place that no path has crossed
 
@@ -27,30 +27,33 @@ from localization.mapping.association import (
     ALONE_SIGMAS,
     BLOCKED_IN,
     MAX_GAP_IN,
-    MAX_THICKNESS_IN,
-    MIN_THICKNESS_IN,
-    OPPOSITE_IN,
     MapEstimate,
     Mask,
     crossings,
-    ends_of_parts,
-    is_blocked,
-    parts_of,
     residual_matrix,
 )
 from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
-from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, POINT, ROBUST_LIMIT, WALL, Sensors, sensors_at
+from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, POINT, ROBUST_LIMIT, WALL, sensors_at
+from localization.mapping.spans import (
+    MIN_CORNER_RAD,
+    MIN_CROSSINGS,
+    MIN_PIECE_IN,
+    MIN_STOPPED,
+    OVERSHOOT_IN,
+    POINT_ON_LINE_IN,
+    SAME_CORNER_IN,
+    Span,
+    find_wall_ends,
+    uncrossed_spans,
+)
 from worlds.world import WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
-MIN_CROSSINGS: Final = 2
-"""A single path across a wall may be a mistaken echo."""
 MIN_PASSED, MIN_PASSED_FRACTION = 5, 0.1
 """So many paths of sound through a wall, and such a fraction of its echoes, are no mistakes."""
 MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
-MIN_PIECE_IN: Final = 4.0
 MIN_LENGTH_IN: Final = 2.0
 """Ends that were moved nearer to one another than this, or past one another, are those of no wall."""
 MIN_SPOTS: Final = 5
@@ -58,38 +61,8 @@ MAX_STRAY_SPOTS, MAX_ALONE, STRAY_GAP_IN = 4, 2, 8.0
 """So few spots beyond a point at the end of a wall, or so far from all others, are mistakes."""
 REACH_IN: Final = 48.0
 """Farthest that an end is moved to a corner: a robot comes no nearer to one than its radius, and turns before."""
-OVERSHOOT_IN: Final = 6.0
-"""A mistaken spot may lie this far beyond the true end."""
-POINT_ON_LINE_IN: Final = 2.5
-MIN_SPAN_IN, MAX_SPAN_IN = 8.0, 60.0
-"""Lengths of walls that are looked for between two points."""
-MIN_STOPPED: Final = 4
-"""Sonars that were directed between two points, not one of which has measured anything behind."""
-MAX_SILENT_IN: Final = 30.0
-"""A longer wall is measured itself by a robot that passes: it is none by what is not measured behind it alone."""
-FACE_RAD: Final = radians(5.0)
-"""Greatest angle between the faces of a wall."""
-MIN_SQUARE_COS: Final = 0.9
-"""The ends of both faces of a wall are opposite one another, within 26 degrees."""
-SPAN_SIGHT_IN: Final = 80.0
-SPAN_INCIDENCE_COS: Final = 0.35
-"""From so far, and at most 70 degrees off the normal, a sonar would have measured what is behind."""
-END_MARGIN: Final = 0.3
-"""Paths may cross the outer three tenths of the end of a wall: they pass its corners."""
-SPAN_MARGIN: Final = 0.1
-"""The outer tenths of a span belong to its points."""
-FACING_COS: Final = 0.98
-"""A sonar whose axis is within 11 degrees of the normal of a wall measures it, if its foot is on the wall."""
-FACING_MARGIN: Final = 0.25
-"""The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
-RECESS_IN: Final = 1.5
-"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
-CLEAR_OF_ENDS_RAD: Final = radians(0.5)
-"""A point farther off the axis than half of a cone and this reflects nothing."""
 MAX_BOX_IN: Final = 40.0
 """Longest side of a box: a longer wall is one of a room, or of a part of it that was not entered."""
-SAME_CORNER_IN: Final = 2.5
-"""Ends of walls and points nearer than this are one corner of a box."""
 MIN_BOX_SINE: Final = 0.7
 """Sides of a box meet at 45 to 135 degrees: posts along a wall make none."""
 MAX_SKEW_IN: Final = 4.0
@@ -104,8 +77,6 @@ OUTSIDE: Final = 0.9
 """Least fraction of the sonars that measured a side of a box which were outside."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
-MIN_CORNER_RAD: Final = radians(20.0)
-"""Lines that cross at a smaller angle make no corner: its position would be uncertain."""
 MAX_STD_IN: Final = 0.5
 """Highest standard deviation of a smooth wall that is written: beyond twice that, 1 in, a wall is a wrong one."""
 GAUGE_STEPS, GAUGE_STD_IN = 3, 0.5
@@ -123,7 +94,7 @@ class Piece:
     line
         Number of its line in the map.
     low, high
-        Coordinates along the line of the outermost reflecting spots.
+        Coordinates along the line of the outermost reflecting spots, or of the points of a span (`Span`).
     ends
         (2, 2) ends, inches.
     closed
@@ -134,6 +105,8 @@ class Piece:
         Standard deviations of its offset, at the middle, and of its angle.
     end_stds_in
         Standard deviation of each closed end along the wall; None for an open one, which lies beyond.
+    spots
+        Coordinates of the outermost reflecting spots if these are not `low` and `high`.
     """
 
     line: int
@@ -145,17 +118,18 @@ class Piece:
     std_in: float = 0.0
     std_rad: float = 0.0
     end_stds_in: tuple[float | None, float | None] = (None, None)
+    spots: tuple[float, float] | None = None
 
     @property
     def measured_in(self) -> float:
-        """Length from the first to the last reflecting spot, inches."""
+        """Length from the first to the last reflecting spot, or between the points of a span, inches."""
         return self.high - self.low
 
     @property
     def measured_ends(self) -> Floats:
         """The outermost reflecting spots (2, 2): coordinates along the line are the same in a turned frame."""
         along = (self.ends[1] - self.ends[0]) / self.length_in
-        coordinates = np.array((self.low, self.high))
+        coordinates = np.array(self.spots or (self.low, self.high))
         spots: Floats = self.ends[0] + (coordinates - self.ends[0] @ along)[:, None] * along
         return spots
 
@@ -223,14 +197,16 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
     spans += find_wall_ends(estimate, (starts, ends))
     owners = [int(np.argmin([line.off(span.ends) for line in lines])) for span in spans] if lines else []
-    pieces = [
-        Piece(number, low, high, np.array((line.at(low), line.at(high))), [False, False], count)
-        for number, line in enumerate(lines)
-        for low, high, count in _with_spans(
-            _pieces(line, np.sort(_clear_feet(estimate, number)), points), line,
-            [span for span, nearest in zip(spans, owners, strict=True) if nearest == number],
-        )
-    ]  # fmt: skip
+    pieces = []
+    for number, line in enumerate(lines):
+        runs = _pieces(line, np.sort(_clear_feet(estimate, number)), points)
+        own = [span for span, nearest in zip(spans, owners, strict=True) if nearest == number]
+        for low, high, count in _with_spans(runs, line, own):
+            within = [run for run in runs if run[0] < high and run[1] > low]
+            spots = (min(run[0] for run in within), max(run[1] for run in within)) if within else (low, high)
+            places = np.array((line.at(low), line.at(high)))
+            pieces.append(Piece(number, low, high, places, [False, False], count,
+                                spots=None if spots == (low, high) else spots))  # fmt: skip
     # 3. Ends.
     pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
     if with_accuracy:
@@ -282,219 +258,6 @@ def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Two points of the map, and what was measured between them.
-
-    Attributes
-    ----------
-    one, other
-        Numbers of the points.
-    ends
-        (4,) the points.
-    stopped
-        Number of readings of sonars that were directed between the points, nearer to neither than half of a cone. All
-        of them end before the line or at things that no reflector explains: no sound has passed.
-    gap_in
-        Widest part of the span at which none of them was directed, inches.
-    closes_outline
-        Whether three walls lead from one point to the other: it is the fourth side of a box.
-    """
-
-    one: int
-    other: int
-    ends: Floats
-    stopped: int
-    gap_in: float = 0.0
-    closes_outline: bool = False
-
-    @property
-    def is_wall(self) -> bool:
-        """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
-        is_silent = self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
-        is_short = float(np.hypot(*(self.ends[2:] - self.ends[:2]))) <= MAX_SILENT_IN
-        return is_short and (is_silent or self.closes_outline)
-
-
-def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
-    """Return the pairs of points between which no path (p, 2) to (p, 2) has passed, the shortest first; no diagonals.
-
-    A wall that is seen from its ends, or too short to be told from a point, shows by what is not measured behind it.
-    """
-    state, found = estimate.state, []
-    points = state.points
-    lengths = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
-    ones, others = np.nonzero(np.triu((lengths > MIN_SPAN_IN) & (lengths < MAX_SPAN_IN)))
-    if not len(ones):
-        return []
-    # 1. Paths that have passed.
-    ends = np.concatenate((points[ones], points[others]), axis=1)
-    along = (ends[:, 2:] - ends[:, :2]) / lengths[ones, others, None]
-    inner = np.concatenate((ends[:, :2] + BLOCKED_IN * along, ends[:, 2:] - BLOCKED_IN * along), axis=1)
-    passed = crossings(*paths, inner).sum(axis=0)
-    is_uncrossed = (passed < MIN_CROSSINGS) & ~_are_diagonals(ends, ones, others, passed < MIN_CROSSINGS, lengths)
-    closes = _closing(estimate, ends, ones, others, is_uncrossed)
-    # 2. Axes that lead between the points: in front of them, past no wall and neither point.
-    echoes = estimate.echoes()
-    sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
-    axis = np.stack((np.cos(sensors.axis), np.sin(sensors.axis)), axis=-1)
-    segments = estimate.blocking
-    clear_rad = estimate.problem.reflection.half_cone_rad + CLEAR_OF_ENDS_RAD
-    for number in np.flatnonzero(is_uncrossed):
-        normal, first = np.array((-along[number, 1], along[number, 0])), ends[number, :2]
-        cosine = axis @ normal
-        if _is_recessed(sensors, cosine, (first, normal, along[number], float(lengths[ones[number], others[number]]))):
-            continue
-        slanted = np.abs(cosine) < SPAN_INCIDENCE_COS
-        reach = (first - sensors.face) @ normal / np.where(slanted, np.inf, cosine)
-        at = sensors.face + reach[:, None] * axis
-        fraction = (at - first) @ along[number] / lengths[ones[number], others[number]]
-        directed = ~slanted & (reach > 0.0) & (reach < SPAN_SIGHT_IN)
-        directed &= (fraction > SPAN_MARGIN) & (fraction < 1.0 - SPAN_MARGIN)
-        for x, y in ends[number].reshape(2, 2):
-            bearing = np.arctan2(y - sensors.face[:, 1], x - sensors.face[:, 0])
-            directed &= np.abs(wrap_angle(bearing - sensors.axis)) > clear_rad
-        # What ends well before is measured off something else.
-        directed &= sensors.range_in > np.abs(reach * cosine) - 1.0
-        rows = np.flatnonzero(directed)
-        rows = rows[~is_blocked(sensors.face[rows], at[rows], segments, estimate.blocked_in)]
-        gap = float(np.diff(np.sort([0.0, 1.0, *fraction[rows]])).max()) * lengths[ones[number], others[number]]
-        found.append(
-            Span(int(ones[number]), int(others[number]), ends[number], len(rows), gap, bool(closes[number]))
-        )
-    return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
-
-
-def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[Span]:
-    """Return the pairs of points at which both faces of a wall end: its end leads from one to the other.
-
-    So the reveals of doors are found, a hand's breadth long, which few sonars face. Each face was measured from its own
-    side and ends at its own point, and the points are opposite one another; at the two posts of a door the faces end
-    in opposite directions. No paths (p, 2) to (p, 2) have crossed, and no wall meets the faces there.
-    """
-    points, walls = estimate.state.points, estimate.state.walls
-    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
-    along, outward = np.stack((-normals[:, 1], normals[:, 0]), axis=-1), estimate.sides[:, None] * normals
-    is_on_face = (np.abs(points @ normals.T - walls[:, 1]) < POINT_ON_LINE_IN) & (estimate.sides != 0.0)
-    parts = parts_of(estimate.runs, estimate.extents)
-    ends = np.where(is_on_face, ends_of_parts(parts, points @ along.T).side, 0.0)
-    off = points[:, None] - points
-    away = np.hypot(*off.transpose(2, 0, 1))
-    # 1. Pairs of points: faces that look away from one another, across the line between them, on one side of it.
-    candidates = []
-    for one, other in np.argwhere(np.triu((away > MIN_THICKNESS_IN) & (away < MAX_THICKNESS_IN))).tolist():
-        i, j = np.flatnonzero(ends[one]), np.flatnonzero(ends[other])
-        across = off[one, other] / away[one, other]
-        fits = outward[i] @ outward[j].T < -np.cos(FACE_RAD)
-        fits &= (ends[one, i, None] * along[i]) @ (ends[other, j, None] * along[j]).T > 0.0
-        fits &= np.abs(along[i] @ off[one, other])[:, None] < OPPOSITE_IN
-        square = np.where(fits, np.minimum((outward[i] @ across)[:, None], outward[j] @ -across), 0.0)
-        if square.max(initial=0.0) > MIN_SQUARE_COS:
-            candidates.append((float(square.max()), one, other))
-    # 2. The squarest where a corner is more than one point; one that nothing has crossed, and that is no junction.
-    found, path = list[Span](), estimate.state.poses[:, :2]
-    for _, one, other in sorted(candidates, reverse=True):
-        span = Span(one, other, np.concatenate((points[one], points[other])), 0)
-        inner = span.ends + np.tile(END_MARGIN * (points[other] - points[one]), 2) * (1.0, 1.0, -1.0, -1.0)
-        # A path of sound may be a mistake, one of the robot is none.
-        is_crossed = int(crossings(*paths, inner[None]).sum()) >= MIN_CROSSINGS
-        is_crossed |= bool(crossings(path[:-1], path[1:], inner[None]).any())
-        middle = span.ends.reshape(2, 2).mean(axis=0)
-        beside = (np.hypot(*(known.ends.reshape(2, 2).mean(axis=0) - middle)) < SAME_CORNER_IN for known in found)
-        if not is_crossed and not any(beside) and not _is_junction(estimate, span, parts):
-            found.append(span)
-    return found
-
-
-def walls_along(walls: Floats, span: Span) -> Indices:
-    """Return the numbers of the walls (w, 2) that lead from the one point of a span to the other, and not aslant."""
-    along = (span.ends[2:] - span.ends[:2]) / np.hypot(*(span.ends[2:] - span.ends[:2]))
-    directions = np.stack((-np.sin(walls[:, 0]), np.cos(walls[:, 0])), axis=-1)
-    is_along = np.abs(directions @ along) > MIN_SQUARE_COS
-    return np.flatnonzero(is_along & pass_through(walls, span.ends[None], POINT_ON_LINE_IN)[:, 0])
-
-
-def _is_junction(estimate: MapEstimate, span: Span, parts: Floats) -> bool:
-    """Return True if a wall along a span goes on beyond it, by its parts (r, 3): the faces meet that wall."""
-    for wall in walls_along(estimate.state.walls, span):
-        angle = estimate.state.walls[wall, 0]
-        low, high = np.sort(span.ends.reshape(2, 2) @ np.array((-np.sin(angle), np.cos(angle))))
-        _, first, last = parts[parts[:, 0] == wall].T
-        goes_on = (last > low - MAX_GAP_IN) & (first < low - OVERSHOOT_IN)
-        goes_on |= (first < high + MAX_GAP_IN) & (last > high + OVERSHOOT_IN)
-        if goes_on.any():
-            return True
-    return False
-
-
-def _is_recessed(sensors: Sensors, cosine: Floats, span: tuple[Floats, Floats, Floats, float]) -> bool:
-    """Return True if sonars that face a span have measured what is behind it: a door or a niche between its points.
-
-    A wall reflects into every cone that has its perpendicular well inside, so a longer range is of something behind it.
-
-    Parameters
-    ----------
-    sensors
-        (e,) sonars.
-    cosine
-        (e,) cosine of the angles between their axes and the normal of the span.
-    span
-        First point (2,), normal (2,), direction (2,) and length.
-    """
-    first, normal, along, length = span
-    away = (first - sensors.face) @ normal
-    foot = (sensors.face - first) @ along / length
-    faces = (cosine * np.sign(away) > FACING_COS) & (np.abs(away) < SPAN_SIGHT_IN)
-    faces &= (np.abs(foot - 0.5) < 0.5 - FACING_MARGIN) & (sensors.range_in > np.abs(away) - RECESS_IN)
-    behind = int((sensors.range_in[faces] > np.abs(away[faces]) + RECESS_IN).sum())
-    return behind >= MIN_CROSSINGS and behind > 0.5 * int(faces.sum())
-
-
-def _are_diagonals(ends: Floats, ones: Indices, others: Indices, is_uncrossed: Mask, lengths: Floats) -> Mask:
-    """Return True (s,) for spans that cross another one inside a box: no path has passed its four sides either."""
-    # 1. Sides: uncrossed spans, and those too short for one.
-    sides = lengths <= MIN_SPAN_IN
-    sides[ones[is_uncrossed], others[is_uncrossed]] = sides[others[is_uncrossed], ones[is_uncrossed]] = True
-    # 2. Spans that cross, at no common end.
-    candidates = np.flatnonzero(is_uncrossed)
-    apart = 1e-6 * (ends[candidates, 2:] - ends[candidates, :2])
-    inner = np.concatenate((ends[candidates, :2] + apart, ends[candidates, 2:] - apart), axis=1)
-    first, second = np.nonzero(crossings(inner[:, :2], inner[:, 2:], inner))
-    one, other = candidates[first], candidates[second]
-    around = sides[ones[one], ones[other]] & sides[ones[one], others[other]]
-    around &= sides[others[one], ones[other]] & sides[others[one], others[other]]
-    found = np.zeros(len(ends), dtype=np.bool_)
-    found[one[around]] = True
-    return found
-
-
-def _closing(estimate: MapEstimate, ends: Floats, ones: Indices, others: Indices, is_uncrossed: Mask) -> Mask:
-    """Return True (s,) for spans from point to point (s, 4) that three walls and no fourth one lead around."""
-    walls, count = estimate.state.walls, len(estimate.state.points)
-    # 1. Spans on which a wall was measured.
-    along = np.stack((-np.sin(walls[:, 0]), np.cos(walls[:, 0])), axis=-1)
-    coordinates = np.sort(np.stack((along @ ends[:, :2].T, along @ ends[:, 2:].T)), axis=0)
-    low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
-    common = np.minimum(coordinates[1], high) - np.maximum(coordinates[0], low)
-    is_side = (pass_through(walls, ends, POINT_ON_LINE_IN) & (common > MIN_PIECE_IN)).any(axis=0) & is_uncrossed
-    sides = np.zeros((count, count), dtype=np.bool_)
-    sides[ones[is_side], others[is_side]] = sides[others[is_side], ones[is_side]] = True
-    # 2. One side from either end, and a third one between those.
-    closes = np.zeros(len(ends), dtype=np.bool_)
-    for number in np.flatnonzero(is_uncrossed & ~is_side):
-        one, other = ones[number], others[number]
-        first, last = np.flatnonzero(sides[one]), np.flatnonzero(sides[other])
-        closes[number] = sides[np.ix_(first, last)].any()
-    return closes
-
-
-def pass_through(walls: Floats, segments: Floats, within_in: float) -> Mask:
-    """Return True (w, s) for walls (w, 2) on whose lines both ends of a segment (s, 4) lie."""
-    c, s = np.cos(walls[:, 0])[:, None, None], np.sin(walls[:, 0])[:, None, None]
-    off = c * segments[:, 0::2] + s * segments[:, 1::2] - walls[:, 1][:, None, None]
-    return np.asarray((np.abs(off) < within_in).all(axis=2), dtype=np.bool_)
-
-
 def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offset: float) -> Floats:
     """Return the coordinates along a line at which paths cross it."""
     before, after = starts @ normal - offset, ends @ normal - offset
@@ -530,8 +293,11 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
     by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
     for number, (angle, offset) in enumerate(walls):
-        own = levels.of(number)
+        own = np.arange(len(levels))[levels.of(number)]
         t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+        low, high = estimate.extents[number]
+        is_within = (t > low - LEVEL_CELL_IN) & (t < high + LEVEL_CELL_IN)
+        own, t = own[is_within], t[is_within]
         if not len(t):
             continue
         # 1. f_0 and k are linear in the levels; a single cell has no slope.
@@ -541,7 +307,7 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
         lines[number] = angle + turn, (offset + f_0) * np.cos(turn)
         # 2. Derivatives.
         by_k = -1.0 / (1.0 + k * k)
-        columns = slice(WALL + own.start, WALL + own.stop)
+        columns = WALL + own
         by_unknowns[number, 0, columns] = by_k * fit[1]
         by_unknowns[number, 1, columns] = np.cos(turn) * fit[0] - (offset + f_0) * np.sin(turn) * by_k * fit[1]
         by_unknowns[number, 1, 1] = np.cos(turn)

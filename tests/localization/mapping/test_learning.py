@@ -6,13 +6,15 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
-from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.mapping import walls
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
 from localization.mapping.features import FreeEchoes, _decide, _fit
@@ -33,7 +35,7 @@ from localization.mapping.walls import end_derivative, extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world, parse_world
-from worlds.robots import load_calibration
+from worlds.robots import N150, load_calibration
 from worlds.validate import validate_world
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
@@ -490,3 +492,35 @@ def test_features_that_nothing_determines_are_dropped(estimate: MapEstimate) -> 
     assert drop_unmeasured(found) == 2
     np.testing.assert_array_equal(found.state.walls, estimate.state.walls)
     np.testing.assert_array_equal(found.state.points, estimate.state.points)
+
+
+class Learner:
+    """A learner whose map costs less the more nodes it takes at once."""
+
+    made: ClassVar[list[int]] = []
+    is_complete = False
+
+    def __init__(self, *_: object, nodes_per_round: int, **__: object) -> None:
+        self.estimate = SimpleNamespace(cost=1000.0 / nodes_per_round)
+        self.made.append(nodes_per_round)
+
+    def advance(self) -> None:
+        self.is_complete = True
+
+    def finish(self) -> None:
+        assert self.is_complete
+
+
+def test_cheapest_map_of_walls_with_levels_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("localization.mapping.learn.MapLearner", Learner)
+    sonar = building_sonar(N150.ring)
+    for rounds, made in (((10, 16), [10, 16]), ((16, 10), [16, 10])):
+        monkeypatch.setattr("localization.mapping.learn.LEVEL_ROUNDS", rounds)
+        Learner.made.clear()
+        assert learn_map(drive(0), NOISE, sonar).cost == 1000.0 / 16.0
+        assert Learner.made == made
+    # Planes are learned once.
+    Learner.made.clear()
+    learn_map(drive(0), NOISE, sonar, roughness_in=0.8)
+    learn_map(drive(0), NOISE, ConeSonar())
+    assert len(Learner.made) == 2

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import radians
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from localization.filters.belief import Floats
-from localization.mapping import association, learn, output, walls
-from localization.mapping.association import MapEstimate
+from localization.mapping import association, learn, output, spans, walls
+from localization.mapping.association import MapEstimate, residual_matrix
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import close_wall_ends, find_undecided, join_points, prune, swallow
+from localization.mapping.learn import close_wall_ends, find_undecided, join_points, part_surfaces, prune, swallow
 from localization.mapping.measurements import rotate
 from localization.mapping.output import describe, summary
-from localization.mapping.problem import LEVEL_CELL_IN, Levels
-from localization.mapping.walls import (
-    extract_walls,
-    find_outlines,
-    find_wall_ends,
-    free_paths,
-    pass_through,
-    passed_walls,
-    surface_lines,
-    uncrossed_spans,
-)
+from localization.mapping.problem import LEVEL_CELL_IN, PARAMETER_STDS, Levels, MapProblem, Reflection
+from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
+from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
 from worlds.io import format_world, load_world
 
 
@@ -82,7 +75,7 @@ def test_wall_that_stops_sound_is_no_point(
     join_points(opened)
     # As if a point were always cheaper.
     monkeypatch.setattr(learn, "SWALLOW_IN", np.inf)
-    monkeypatch.setattr(walls, "MIN_STOPPED", 1)
+    monkeypatch.setattr(spans, "MIN_STOPPED", 1)
     monkeypatch.setitem(association.PENALTY, "wall", 1e6)
     monkeypatch.setattr(learn, "_have_ends", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
     if not stops_sound:
@@ -126,7 +119,7 @@ def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monke
     (span,) = (span for span in uncrossed_spans(opened, free_paths(opened)) if {span.one, span.other} == {4, 5})
     # Between the outermost sonars and the ends, and between neighbours, less than a robot needs.
     assert 4.0 <= span.gap_in <= association.MAX_GAP_IN
-    monkeypatch.setattr(walls, "MAX_GAP_IN", 0.9 * span.gap_in)
+    monkeypatch.setattr(spans, "MAX_GAP_IN", 0.9 * span.gap_in)
     assert not span.is_wall
 
 
@@ -139,7 +132,7 @@ def test_span_that_too_few_sonars_were_directed_at_is_visited(
 
     before_both_sides = {("span", 23, -43), ("span", 23, -7)}
     assert not before_both_sides & visited()
-    monkeypatch.setattr(walls, "MIN_STOPPED", 1000)
+    monkeypatch.setattr(spans, "MIN_STOPPED", 1000)
     assert len(visited()) == 6
     assert before_both_sides <= visited()
 
@@ -320,7 +313,7 @@ def test_corners_that_let_no_sound_pass_are_a_closed_outline(
     first = len(found.state.points) - 4
     assert find_outlines(found, pieces) == []
     spans = [
-        walls.Span(first + k, first + (k + 1) % 4, np.array((*BOX[k], *BOX[(k + 1) % 4])), count)
+        Span(first + k, first + (k + 1) % 4, np.array((*BOX[k], *BOX[(k + 1) % 4])), count)
         for k, count in enumerate(stopped) if count is not None
     ]  # fmt: skip
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: spans)
@@ -333,7 +326,7 @@ def test_points_in_a_row_make_no_box(estimate: MapEstimate, monkeypatch: pytest.
     for point in row:
         found.add_point(np.array(point))
     spans = [
-        walls.Span(first + one, first + other, np.array((*row[one], *row[other])), 9)
+        Span(first + one, first + other, np.array((*row[one], *row[other])), 9)
         for one in range(4) for other in range(one)
     ]  # fmt: skip
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: spans)
@@ -374,18 +367,23 @@ def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
     found, cells = estimate.copy(), np.array([*range(-6, 9), 3])
     levels = Levels(np.array([0] * 15 + [1]), cells, 1.6 * rng.normal(size=16), np.zeros(16))
     found.state = replace(found.state, levels=levels)
+    found.extents = np.array([(-24.0, 36.0), (12.0, 16.0), *estimate.extents[2:]])
     return found
 
 
 def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -> None:
     found = with_surface(estimate, 3)
+    # The cells of the first wall are from -24 to 36; of those beyond its ends only the neighbours count.
+    found.extents = np.array([(-13.0, 29.0), (12.0, 16.0), *estimate.extents[2:]])
     lines, _ = surface_lines(found)
     state = found.state
-    for number, count in ((0, 15), (1, 1)):
+    for number, count in ((0, 12), (1, 1)):
         (angle, offset), own = state.walls[number], state.levels.of(number)
-        assert own.stop - own.start == count
         # In the frame of the wall, x along it: a polynomial fit, and the distance of its line from places.
         t, b = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5), state.levels.value_in[own]
+        is_near = (t > found.extents[number, 0] - 4.0) & (t < found.extents[number, 1] + 4.0)
+        t, b = t[is_near], b[is_near]
+        assert len(t) == count
         slope, at_0 = np.polyfit(t, b, 1) if count > 1 else (0.0, b[0])
         n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
         line_angle, line_offset = lines[number]
@@ -413,6 +411,108 @@ def test_derivatives_of_a_surface_are_difference_quotients(estimate: MapEstimate
                 changed.state = replace(found.state, walls=moved, levels=replace(levels, value_in=values))
                 ends.append(surface_lines(changed)[0][number])
             np.testing.assert_allclose(by_unknowns[number, :, column], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
+
+
+def with_levels(estimate: MapEstimate) -> MapEstimate:
+    """Return a map of the same drive whose walls have levels."""
+    problem = estimate.problem
+    reflection = Reflection(half_cone_rad=radians(25.0), surface_std_in=1.75, surface_length_in=24.0)
+    found = estimate.copy()
+    found.problem = MapProblem(problem.trajectory, 16, parameter_stds=PARAMETER_STDS, reflection=reflection)
+    found.expects_first_echoes = False
+    found.associate()
+    return found
+
+
+def test_echoes_from_beyond_an_end_are_of_the_end(opened: MapEstimate) -> None:
+    found = with_levels(opened)
+    line = np.array((-0.5 * np.pi, 25.0))
+    found.add_wall(line, np.array((10.0, 36.0)))
+    wall, west, east = len(found.state.walls) - 1, *(len(found.state.walls) + number for number in (4, 5))
+    found.associate()
+    echoes = found.echoes()
+    residual, _, spots = residual_matrix(found.problem, found.state, found.extents, echoes)
+    feature, feet = found.assignment.feature[echoes], spots[:, wall, 0]
+    # Their ranges would fit the wall as well.
+    fits = np.abs(residual[:, wall]) < 2.0
+    for point, beyond_in in ((west, 10.0 - feet), (east, feet - 36.0)):
+        of_end = (beyond_in > 0.0) & (beyond_in < 20.0) & (np.abs(residual[:, point]) < 2.0)
+        assert (of_end & fits).sum() >= 3
+        assert not (feature[of_end] == wall).any()
+    within = (feet > 15.0) & (feet < 31.0) & fits
+    assert (feature[within] == wall).sum() > 4
+
+
+@pytest.mark.parametrize(("y_in", "is_measured"), [(-25.0, True), (-22.5, True), (-19.0, False)])
+def test_surface_between_two_points_is_measured_by_sonars_that_face_it(
+    opened: MapEstimate, y_in: float, is_measured: bool
+) -> None:
+    opened.state = replace(opened.state, points=np.array(((5.0, y_in), (51.0, y_in))))
+    found = with_levels(opened)
+    spans = {(span.one, span.other): span for span in uncrossed_spans(found, free_paths(found))}
+    # Too long to be a wall by what is silent alone; 6 in before the wall there is nothing.
+    assert spans.keys() == ({(0, 1)} if is_measured else set())
+    assert all(span.is_measured and span.is_wall for span in spans.values())
+    # Planes are told from points by their cost.
+    opened.associate()
+    planes = uncrossed_spans(opened, free_paths(opened))
+    assert not any(span.is_measured or span.is_wall for span in planes)
+
+
+@pytest.mark.parametrize(("west_y_in", "south_x_in", "cuts"), [
+    (-17.0, -13.0, True),  # two posts, 8 and 12 in from the corner at (-25, -25)
+    (-5.0, 15.0, False),  # farther from the corner: sound would have come back from there
+])  # fmt: skip
+def test_posts_of_both_walls_of_a_corner_are_no_wall(
+    estimate: MapEstimate, west_y_in: float, south_x_in: float, cuts: bool
+) -> None:
+    ends = np.array([(-25.0, west_y_in, south_x_in, -25.0)])
+    found = with_levels(estimate)
+    assert spans._cut_corners(found, ends).tolist() == [cuts]
+    # A wall that ends in the corner is none across it, and planes have no posts.
+    assert not spans._cut_corners(found, np.array([(-25.0, west_y_in, -25.0, -25.0)])).any()
+    assert not spans._cut_corners(estimate, ends).any()
+
+
+def test_a_path_along_a_span_does_not_open_it(opened: MapEstimate) -> None:
+    def pairs(starts: Sequence[Sequence[float]], ends: Sequence[Sequence[float]]) -> list[set[int]]:
+        return [{span.one, span.other} for span in uncrossed_spans(opened, (np.array(starts), np.array(ends)))]
+
+    # It leads along the line within 8 degrees, and crosses it by a small error of either end.
+    along = ((60.0, -22.0), (60.0, -23.0)), ((12.0, -28.0), (12.0, -28.0))
+    assert {4, 5} in pairs(*along)
+    steep = ((40.0, -20.0), (40.0, -21.0)), ((14.0, -28.0), (14.0, -29.0))
+    assert {4, 5} not in pairs(*steep)
+
+
+def test_posts_stay_on_a_wall_with_levels(opened: MapEstimate) -> None:
+    for made, left in ((opened, 6), (with_levels(opened), 7)):
+        made.add_point(np.array((23.0, -24.0)))
+        line, extent = np.array((-0.5 * np.pi, 25.0)), np.array((10.0, 36.0))
+        assert len(learn._with_wall(made, line, extent).state.points) == left
+
+
+def test_parts_of_a_surface_with_a_gap_are_walls_of_their_own(estimate: MapEstimate) -> None:
+    low, high = estimate.extents[0]
+    parts = np.array([(0.0, low, low + 30.0), (0.0, high - 30.0, high)])
+    for made, count in ((estimate.copy(), 4), (with_levels(estimate), 5)):
+        made.runs = np.concatenate((made.runs[made.runs[:, 0] != 0.0], parts))
+        part_surfaces(made)
+        assert len(made.state.walls) == count
+
+
+def test_measured_part_of_a_wall_between_two_points_is_where_spots_are(
+    opened: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert join_points(opened) == 1
+    span = Span(0, 1, np.array((-20.0, -25.0, 90.0, -25.0)), stopped=0, is_measured=True)
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [span])
+    (wall,) = (piece for piece in extract_walls(opened) if np.abs(piece.ends[:, 1] + 25.0).max() < 1.0)
+    assert wall.spots is not None
+    assert wall.low < wall.spots[0] < wall.spots[1] < wall.high
+    first, last = np.sort(wall.measured_ends[:, 0])
+    assert np.sort(wall.ends[:, 0])[0] < first < last < np.sort(wall.ends[:, 0])[1]
+    assert last - first == pytest.approx(wall.spots[1] - wall.spots[0], abs=0.01)
 
 
 # Ends of thick walls.
