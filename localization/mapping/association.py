@@ -270,7 +270,7 @@ class MapEstimate:
         lines, std_in = self.state.walls[wall : wall + 1], self.problem.trajectory.std_in[echoes]
         ranges, _, feet, _ = _wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
         fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * std_in
-        points = self.state.points[self._is_on_line(wall)]
+        points = self.state.points[np.abs(along_and_across(self.state.points, lines)[1][:, 0]) < END_ASIDE_IN]
         away = np.hypot(*(sensors.face[:, None] - points).transpose(2, 0, 1))
         is_of_point = np.abs(sensors.range_in[:, None] - away) < ALONE_SIGMAS * std_in[:, None]
         return feet[fits, 0], sides_of(sensors.face[fits], lines)[:, 0], ~is_of_point.any(axis=1)[fits]
@@ -330,14 +330,8 @@ class MapEstimate:
 
     def _points_along(self, wall: int) -> Floats:
         """Return the sorted coordinates (k,) along a wall of the points on its line."""
-        angle = self.state.walls[wall, 0]
-        return np.sort((self.state.points @ (-np.sin(angle), np.cos(angle)))[self._is_on_line(wall)])
-
-    def _is_on_line(self, wall: int) -> Mask:
-        """Return True (v,) for the points on the line of a wall."""
-        angle, offset = self.state.walls[wall]
-        across = self.state.points @ (np.cos(angle), np.sin(angle)) - offset
-        return np.asarray(np.abs(across) < END_ASIDE_IN, dtype=np.bool_)
+        along, across = along_and_across(self.state.points, self.state.walls[wall : wall + 1])
+        return np.sort(along[np.abs(across) < END_ASIDE_IN])
 
     @property
     def blocking(self) -> Floats:
@@ -449,6 +443,16 @@ def sides_of(places: Floats, walls: Floats) -> Floats:
     """Return the side (p, w) of each wall (w, 2) on which each place (p, 2) is: 1 where its normal points, else -1."""
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
     return np.where(places @ normals.T > walls[:, 1], 1.0, -1.0)
+
+
+def along_and_across(points: Floats, walls: Floats) -> tuple[Floats, Floats]:
+    """Return the coordinates (v, w) of points (v, 2) along walls (w, 2), and their distances (v, w) from the lines.
+
+    The direction of a wall is its normal turned left; distances are positive where the normal points.
+    """
+    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
+    x, y = points[:, :1], points[:, 1:]
+    return y * c - x * s, x * c + y * s - walls[:, 1]
 
 
 def _wall_geometry(
@@ -577,13 +581,11 @@ def _are_of_ends(estimate: MapEstimate, residual: Floats, spots: Floats) -> Mask
     A level there would explain them as well, and turn the line of the wall.
     """
     state, count = estimate.state, len(estimate.state.walls)
-    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-    along = state.points[:, 1:] * c - state.points[:, :1] * s
-    across = np.abs(state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1])
+    along, across = along_and_across(state.points, state.walls)
     side = ends_of_parts(parts_of(estimate.runs, estimate.extents), along).side
-    feet = spots[:, :count, 1] * c - spots[:, :count, 0] * s
+    feet = spots[:, :count, 1] * np.cos(state.walls[:, 0]) - spots[:, :count, 0] * np.sin(state.walls[:, 0])
     found = np.zeros(feet.shape, dtype=np.bool_)
-    for point, wall in np.argwhere((across < estimate.surface_in) & (side != 0.0)):
+    for point, wall in np.argwhere((np.abs(across) < estimate.surface_in) & (side != 0.0)):
         beyond = side[point, wall] * (along[point, wall] - feet[:, wall])
         found[:, wall] |= (beyond > 0.0) & (beyond < MIN_DOOR_IN) & (np.abs(residual[:, count + point]) < FIRST_SIGMAS)
     return found
@@ -660,8 +662,7 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     state, extents, sides = estimate.state, estimate.extents, estimate.sides
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
     # 1. Points (v, w) on lines, and not farther beyond the part that was seen than a wall may go on.
-    along = state.points[:, 1:] * c - state.points[:, :1] * s
-    off = state.points[:, :1] * c + state.points[:, 1:] * s - state.walls[:, 1]
+    along, off = along_and_across(state.points, state.walls)
     across = np.abs(off)
     onward = np.stack((extents[:, 0] - along, along - extents[:, 1]), axis=-1)
     on_wall = (across < CORNER_IN) & (onward < growth_of(state.walls, extents)).all(axis=-1)

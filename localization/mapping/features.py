@@ -43,7 +43,16 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import OFF_CONE_RAD, MapEstimate, Mask, assign, is_blocked, segments_of, sides_of
+from localization.mapping.association import (
+    OFF_CONE_RAD,
+    MapEstimate,
+    Mask,
+    along_and_across,
+    assign,
+    is_blocked,
+    segments_of,
+    sides_of,
+)
 from localization.mapping.consistency import check_parts
 from localization.mapping.measurements import Indices, rotate
 from localization.mapping.problem import (
@@ -631,11 +640,9 @@ def _wall_motions(local: MapEstimate, old: MapEstimate) -> list[tuple[float, Flo
     low, high = old.extents.T
     for number in np.flatnonzero(echoes >= MIN_LOCAL_ECHOES):
         place = rotate(middles[number] - centre, turn) + centre + shift
-        c, s = np.cos(old.state.walls[:, 0]), np.sin(old.state.walls[:, 0])
-        off_line = np.abs(place[:, :1] * c + place[:, 1:] * s - old.state.walls[:, 1])
-        along = place[:, 1:] * c - place[:, :1] * s
+        along, off_line = along_and_across(place, old.state.walls)
         turned = np.abs(np.sin(local.state.walls[number, 0] + turn[:, None] - old.state.walls[:, 0]))
-        fits = (off_line < NEAR_IN) & (turned < np.sin(NEAR_RAD))
+        fits = (np.abs(off_line) < NEAR_IN) & (turned < np.sin(NEAR_RAD))
         fits &= (along > low - MIN_BASE_IN) & (along < high + MIN_BASE_IN)
         weight += echoes[number] * fits.any(axis=1)
     best = np.argsort(-weight, kind="stable")[:RATED_MOTIONS]

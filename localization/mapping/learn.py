@@ -44,6 +44,7 @@ from localization.mapping.association import (
     MapEstimate,
     Mask,
     align_heading,
+    along_and_across,
     assign,
     is_blocked,
     residual_matrix,
@@ -75,7 +76,7 @@ from localization.mapping.spans import (
     uncrossed_spans,
     walls_along,
 )
-from localization.mapping.walls import REACH_IN, extract_walls, free_paths
+from localization.mapping.walls import REACH_IN, extract_walls, free_paths, unpassed_gaps
 from worlds.geometry import nearest_points_of_pairs
 
 NODES_PER_ROUND: Final = 16
@@ -493,16 +494,20 @@ def drop_hidden(estimate: MapEstimate) -> int:
     """Remove walls behind others, most of whose echoes would have passed through these; return their number.
 
     Sound that is reflected twice in a corner comes late, as if from beyond it. Where nothing else was measured beyond,
-    the other walls reach as far as the corner.
+    the other walls reach as far as the corner. What is open at both ends is also dropped if its echoes alone pass
+    through the gap of a wall: sound between that wall and a box before it comes late.
     """
     dropped = 0
     for wall in reversed(range(len(estimate.state.walls))):
         echoes = estimate.echoes_of(wall)
         _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        own = [piece for piece in extract_walls(estimate, with_accuracy=False) if piece.line == wall]
         without = estimate.copy()
         without.remove(wall)
         pieces = extract_walls(without, with_accuracy=False)
         others = np.array([piece.ends.reshape(4) for piece in pieces]).reshape(-1, 4)
+        if not any(any(piece.closed) for piece in own):
+            others = np.concatenate((others, unpassed_gaps(without, pieces)))
         blocked = is_blocked(sensors.face, spots[:, wall], others, estimate.blocked_in)
         if len(echoes) and blocked.mean() > HIDDEN_FRACTION:
             without.associate()
@@ -562,12 +567,10 @@ def absorb_points(estimate: MapEstimate) -> int:
     for number in reversed(range(len(estimate.state.points))):
         state = estimate.state
         walls, point = len(state.walls), state.points[number]
-        c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-        across = np.abs(point[0] * c + point[1] * s - state.walls[:, 1])
-        along = point[1] * c - point[0] * s
+        along, across = (of_point[0] for of_point in along_and_across(point[None], state.walls))
         echoes = estimate.echoes_of(walls + number)
         now = _cost_of(estimate, echoes)
-        for wall in np.flatnonzero(across < TIE_IN + 2.0):
+        for wall in np.flatnonzero(np.abs(across) < TIE_IN + 2.0):
             low, high = estimate.extents[wall]
             if not low - MERGE_GAP_IN < along[wall] < high + MERGE_GAP_IN:
                 continue
@@ -617,14 +620,12 @@ def join_points(estimate: MapEstimate) -> int:
 
 def _have_ends(estimate: MapEstimate) -> Mask:
     """Return True (w,) for walls with a point on their line beyond either end, which determine it."""
-    walls, points = estimate.state.walls, estimate.state.points
-    c, s = np.cos(walls[:, :1]), np.sin(walls[:, :1])
-    on_line = np.abs(c * points[:, 0] + s * points[:, 1] - walls[:, 1:]) < TIE_IN + estimate.surface_in
-    along = c * points[:, 1] - s * points[:, 0]
-    low, high = estimate.extents[:, :1], estimate.extents[:, 1:]
+    along, across = along_and_across(estimate.state.points, estimate.state.walls)
+    on_line = np.abs(across) < TIE_IN + estimate.surface_in
+    low, high = estimate.extents.T
     before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_SPAN_IN)
     after = on_line & (along > high - POINT_ON_WALL_IN) & (along < high + MAX_SPAN_IN)
-    return np.asarray(before.any(axis=1) & after.any(axis=1), dtype=np.bool_)
+    return np.asarray(before.any(axis=0) & after.any(axis=0), dtype=np.bool_)
 
 
 def _try_join(estimate: MapEstimate, span: Span) -> bool:
@@ -869,11 +870,9 @@ def tie_points(estimate: MapEstimate) -> None:
     what tells the range offset of all sonars apart from the size of a room.
     """
     state, ties = estimate.state, []
-    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-    for number, point in enumerate(state.points):
-        across, along = np.abs(c * point[0] + s * point[1] - state.walls[:, 1]), c * point[1] - s * point[0]
-        low, high = estimate.extents.T
-        beyond = np.maximum(np.maximum(low - along, along - high), 0.0)
+    low, high = estimate.extents.T
+    for number, (along, off) in enumerate(zip(*along_and_across(state.points, state.walls), strict=True)):
+        across, beyond = np.abs(off), np.maximum(np.maximum(low - along, along - high), 0.0)
         meeting = np.flatnonzero((across < TIE_IN) & (beyond < REACH_IN))
         slope = np.abs(np.sin(state.walls[meeting, 0][:, None] - state.walls[meeting, 0]))
         is_corner = (slope > np.sin(MIN_CORNER_RAD)).any(axis=1)

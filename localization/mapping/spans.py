@@ -28,6 +28,7 @@ from localization.mapping.association import (
     OPPOSITE_IN,
     MapEstimate,
     Mask,
+    along_and_across,
     crossings,
     ends_of_parts,
     is_blocked,
@@ -228,7 +229,7 @@ def _cut_corners(estimate: MapEstimate, ends: Floats) -> Mask:
     walls = estimate.state.walls
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
     first, second = (
-        np.abs(places @ normals.T - walls[:, 1]) < estimate.surface_in for places in (ends[:, :2], ends[:, 2:])
+        np.abs(along_and_across(places, walls)[1]) < estimate.surface_in for places in (ends[:, :2], ends[:, 2:])
     )
     crosses = np.abs(np.sin(walls[:, :1] - walls[:, 0])) > np.sin(MIN_CORNER_RAD)
     along = (ends[:, 2:] - ends[:, :2]) / np.hypot(*(ends[:, 2:] - ends[:, :2]).T)[:, None]
@@ -291,20 +292,21 @@ def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[
     points, walls = estimate.state.points, estimate.state.walls
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
     along, outward = np.stack((-normals[:, 1], normals[:, 0]), axis=-1), estimate.sides[:, None] * normals
-    is_on_face = (np.abs(points @ normals.T - walls[:, 1]) < POINT_ON_LINE_IN) & (estimate.sides != 0.0)
+    at, across = along_and_across(points, walls)
+    is_on_face = (np.abs(across) < POINT_ON_LINE_IN) & (estimate.sides != 0.0)
     parts = parts_of(estimate.runs, estimate.extents)
-    ends = np.where(is_on_face, ends_of_parts(parts, points @ along.T).side, 0.0)
+    ends = np.where(is_on_face, ends_of_parts(parts, at).side, 0.0)
     off = points[:, None] - points
     away = np.hypot(*off.transpose(2, 0, 1))
     # 1. Pairs of points: faces that look away from one another, across the line between them, on one side of it.
     candidates = []
     for one, other in np.argwhere(np.triu((away > MIN_THICKNESS_IN) & (away < MAX_THICKNESS_IN))).tolist():
         i, j = np.flatnonzero(ends[one]), np.flatnonzero(ends[other])
-        across = off[one, other] / away[one, other]
+        toward = off[one, other] / away[one, other]
         fits = outward[i] @ outward[j].T < -np.cos(FACE_RAD)
         fits &= (ends[one, i, None] * along[i]) @ (ends[other, j, None] * along[j]).T > 0.0
         fits &= np.abs(along[i] @ off[one, other])[:, None] < OPPOSITE_IN
-        square = np.where(fits, np.minimum((outward[i] @ across)[:, None], outward[j] @ -across), 0.0)
+        square = np.where(fits, np.minimum((outward[i] @ toward)[:, None], outward[j] @ -toward), 0.0)
         if square.max(initial=0.0) > MIN_SQUARE_COS:
             candidates.append((float(square.max()), one, other))
     # 2. The squarest where a corner is more than one point; one that nothing has crossed, and that is no junction.

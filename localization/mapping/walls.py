@@ -26,6 +26,7 @@ from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.mapping.association import (
     ALONE_SIGMAS,
     BLOCKED_IN,
+    MAX_DOOR_IN,
     MAX_GAP_IN,
     MapEstimate,
     Mask,
@@ -255,6 +256,19 @@ def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
         passed = int(((at > low + BLOCKED_IN) & (at < high - BLOCKED_IN)).sum())
         if passed >= max(MIN_PASSED, MIN_PASSED_FRACTION * piece.echoes):
             found.append(piece)
+    return found
+
+
+def unpassed_gaps(estimate: MapEstimate, pieces: Sequence[Piece]) -> Floats:
+    """Return the gaps (g, 4) between neighbouring pieces of a line, at most a door wide, that no path has crossed."""
+    rows = sorted(pieces, key=lambda piece: (piece.line, piece.low))
+    # Ends are in the order of the coordinate, or corners have moved them past one another.
+    gaps = [
+        np.concatenate((one.ends[1], other.ends[0]))
+        for one, other in pairwise(rows) if one.line == other.line and 0.0 < other.low - one.high < MAX_DOOR_IN
+    ]  # fmt: skip
+    segments = np.array(gaps).reshape(-1, 4)
+    found: Floats = segments[crossings(*free_paths(estimate), segments).sum(axis=0) < MIN_CROSSINGS]
     return found
 
 

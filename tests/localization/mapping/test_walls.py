@@ -226,6 +226,29 @@ def test_wall_behind_which_something_was_measured_is_passed(estimate: MapEstimat
     assert passed_walls(estimate, [behind]) == []
 
 
+@pytest.mark.parametrize(("others", "dropped"), [(0, 1), (1, 1), (2, 0)])
+def test_what_is_seen_through_an_unmeasured_part_of_a_wall_alone_is_none(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, others: int, dropped: int
+) -> None:
+    found = estimate.copy()
+    south = int(np.argmax(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0)[:, 0]))
+    # A wall 50 in behind the one at y = -25, and nothing of that from x = 15 to 45.
+    found.add_wall(np.array((-0.5 * np.pi, 75.0)), np.array((15.0, 45.0)))
+    echoes = estimate.echoes_of(south)
+    x = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)[2][:, south, 0]
+    feature = found.assignment.feature.copy()
+    feature[echoes[(x > 15.0) & (x < 45.0)]] = ghost = len(found.state.walls) - 1
+    found.assignment = replace(found.assignment, feature=feature)
+    assert len(found.echoes_of(ghost)) > 5
+    # Paths through the gap that are of something else, and an end at which there is a corner, make it a wall.
+    starts, ends = free_paths(found)
+    through = np.array([(20.0, 0.0)] * others).reshape(-1, 2), np.array([(20.0, -60.0)] * others).reshape(-1, 2)
+    is_inside = ends[:, 1] > -24.0
+    paths = np.concatenate((starts[is_inside], through[0])), np.concatenate((ends[is_inside], through[1]))
+    monkeypatch.setattr(walls, "free_paths", lambda _: paths)
+    assert learn.drop_hidden(found) == dropped
+
+
 def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     found = describe(estimate)
     assert found.uncertain == ()
