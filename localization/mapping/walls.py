@@ -307,11 +307,8 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
     by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
     for number, (angle, offset) in enumerate(walls):
-        own = np.arange(len(levels))[levels.of(number)]
+        own = levels.of(number)
         t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
-        low, high = estimate.extents[number]
-        is_within = (t > low - LEVEL_CELL_IN) & (t < high + LEVEL_CELL_IN)
-        own, t = own[is_within], t[is_within]
         if not len(t):
             continue
         # 1. f_0 and k are linear in the levels; a single cell has no slope.
@@ -321,7 +318,7 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
         lines[number] = angle + turn, (offset + f_0) * np.cos(turn)
         # 2. Derivatives.
         by_k = -1.0 / (1.0 + k * k)
-        columns = WALL + own
+        columns = slice(WALL + own.start, WALL + own.stop)
         by_unknowns[number, 0, columns] = by_k * fit[1]
         by_unknowns[number, 1, columns] = np.cos(turn) * fit[0] - (offset + f_0) * np.sin(turn) * by_k * fit[1]
         by_unknowns[number, 1, 1] = np.cos(turn)
