@@ -225,6 +225,12 @@ class SpeedGuard:
                 self._near.append(wall)
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
+        # What is too near to be measured now is where it was measured.
+        if reading_in <= self.shortest_in:
+            self._near = [
+                near._replace(clock_s=clock_s) if self._is_same_sonar(near.axis_rad, axis_rad) else near
+                for near in self._near
+            ]
         self._near = [
             near for near in self._near
             if self._is_remembered(near, clock_s, (x, y))
@@ -255,13 +261,14 @@ class SpeedGuard:
     def _is_unseen_now(self, near: _AcrossAxis, later: Iterable[_AcrossAxis], encoders: Floats) -> bool:
         """Return True if the sonar of a near wall has fired again and not measured it: it may stand there all the same.
 
-        The sonar has measured nothing at all. Or, if the wall is confirmed and not older than NEAR_S, what is behind:
-        another reading is then no proof that the wall has gone.
+        The sonar has measured nothing at all, or its lower limit: the wall is too near. Or, if the wall is confirmed
+        and not older than NEAR_S, what is behind: another reading is then no proof that the wall has gone.
         """
         readings = [wall for wall in later if self._is_same_sonar(wall.axis_rad, near.axis_rad)]
         behind_in = near.range_from(encoders) + CONFIRMED_IN
         return bool(readings) and all(
             wall.reading_in >= self._longest_in
+            or wall.reading_in <= self.shortest_in < near.reading_in
             or (near.is_confirmed and wall.clock_s < near.clock_s + NEAR_S and wall.range_from(encoders) > behind_in)
             for wall in readings
         )

@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from math import cos, pi, sin
+from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any, cast
 
@@ -144,6 +144,24 @@ def test_near_edge_is_remembered_wherever_the_encoders_begin(x_in: float) -> Non
             each.add(float(clock_s), place, 0.1, nothing)
     assert made.free_in(place, 0.0) < 5.0
     assert other.free_in(place, 0.0) > 200.0
+
+
+def test_wall_that_has_become_too_near_to_measure_is_where_it_was_measured() -> None:
+    # 8 in to the left of the ring; then the robot is 3 in nearer, and drives on for 10 s.
+    made, limit_in = SpeedGuard(N150), N150.ring.min_range_in
+    made.add(0.0, STAND, 0.5 * pi, 8.0)
+    for step in range(1, 11):
+        made.add(float(step), np.array((2.0 * step, 3.0, 0.0, 0.0)), 0.5 * pi, limit_in)
+    here = np.array((20.0, 3.0, 0.0))
+    # Ten degrees to the left, the wall 67.5 degrees aside of the direction with half of the cone.
+    left_in = N150.ring.radius_in + 8.0 - 3.0 - N150.radius_in - 1.5
+    assert made.free_in(here, radians(10.0)) == pytest.approx(left_in / np.cos(radians(67.5)))
+    assert made.is_blind
+    # Away from it nothing is in the way, and a reading shows that it has gone.
+    assert made.free_in(here, radians(-10.0)) == np.inf
+    made.add(11.0, np.append(here, 0.0), 0.5 * pi, 20.0)
+    made.add(13.5, np.append(here, 0.0), 0.5 * pi, 20.0)
+    assert made.free_in(here, radians(10.0)) > 20.0
 
 
 def trail_to_here(from_in: float, *, rays: bool = False) -> SpeedGuard:
