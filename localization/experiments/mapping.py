@@ -135,7 +135,7 @@ MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
 CLOSED_IN: Final = 2.0
 """A loop is closed if the last position is so near to where the first one puts it."""
 OTHER_SEED: Final = 10_000
-"""Added to the seed of the drive that compares localization."""
+"""Added to the seed of the drive that compares localization, unless surfaces depend on it."""
 SETUPS: Final = ("measured", "noisy", "worn", BUILDING_SETUP)
 MIN_BESIDE_IN: Final = 4.0
 """Of a wall that is beside a learned one over less, all of the surface counts."""
@@ -573,14 +573,15 @@ def _error(learned: Floats, middle: Floats, walls: Floats) -> tuple[float, float
     return float(off[1] * along[0] - off[0] * along[1]), float(np.degrees(_turn_between(near, learned)))
 
 
-def localization_error(driven: Drive, world: World, turn: float, shift: Floats, *, rays: bool) -> float:
+def localization_error(driven: Drive, world: World, turn: float, shift: Floats, setup: str) -> float:
     """Return the RMSE of a localization on a drive, in a map that a turn and a shift bring into the world's frame."""
     clock = driven.log.encoders[:, 0]
     true = driven.truth_at(clock)
     # 1. The true start in the frame of the map.
     begin = measurements.rotate(true[0, :2] - shift, np.array(-turn))
     start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
-    sonar = with_wall_errors(sonar_of(N150.ring, rays=rays), world)
+    ring = building_sonar(N150.ring) if setup == BUILDING_SETUP else sonar_of(N150.ring, rays=setup not in RING_SETUPS)
+    sonar = with_wall_errors(ring, world)
     config = LocalizationConfig(world.walls, N150, THESIS_ODOMETRY, sonar)
     localizer = Localizer(config, start, FiringSchedule(float(clock[0])))
     # 2. The states of the recording again. Each shows the last reading of each sonar.
@@ -602,7 +603,9 @@ def run(trial: Trial) -> tuple[Trial, Score]:
         driven = explore(trial, Path(folder)) if trial.explores else drive(trial, tours[trial.world], Path(folder))
         fresh = None
         if trial.world in FRESH_TOURS:
-            fresh = drive(trial._replace(seed=trial.seed + OTHER_SEED), FRESH_TOURS[trial.world], Path(folder))
+            # Another seed would be another building.
+            seed = trial.seed if trial.surfaces is not None else trial.seed + OTHER_SEED
+            fresh = drive(trial._replace(seed=seed), FRESH_TOURS[trial.world], Path(folder))
     # 1. The map, from the recording alone.
     began = time.process_time()
     log = disturbed(driven.log, trial.disturbance, trial.seed)
@@ -618,8 +621,8 @@ def run(trial: Trial) -> tuple[Trial, Score]:
     own = true = math.nan
     if fresh is not None:
         if found.walls:
-            own = localization_error(fresh, found.world("own"), turn, shift, rays=trial.rays)
-        true = localization_error(fresh, load_world(trial.world), 0.0, np.zeros(2), rays=trial.rays)
+            own = localization_error(fresh, found.world("own"), turn, shift, trial.setup)
+        true = localization_error(fresh, load_world(trial.world), 0.0, np.zeros(2), trial.setup)
     duration = float(driven.log.encoders[-1, 0] - driven.log.encoders[0, 0])
     return trial, Score(trial, duration, **numbers, refused=found.reason_to_refuse(), seconds=seconds,
                         true_map_in=true, own_map_in=own,
