@@ -495,13 +495,14 @@ def test_features_that_nothing_determines_are_dropped(estimate: MapEstimate) -> 
 
 
 class Learner:
-    """A learner whose map costs less the more nodes it takes at once."""
+    """A learner whose map costs less the more nodes it takes at once, and misfits as stated."""
 
     made: ClassVar[list[int]] = []
+    misfit: ClassVar[float] = 0.5
     is_complete = False
 
     def __init__(self, *_: object, nodes_per_round: int, **__: object) -> None:
-        self.estimate = SimpleNamespace(cost=1000.0 / nodes_per_round)
+        self.estimate = SimpleNamespace(cost=1000.0 / nodes_per_round, misfit=self.misfit)
         self.made.append(nodes_per_round)
 
     def advance(self) -> None:
@@ -511,16 +512,18 @@ class Learner:
         assert self.is_complete
 
 
-def test_cheapest_map_of_walls_with_levels_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("sonar", "roughness_in", "misfit", "made", "best"), [
+    (ConeSonar(), None, 0.5, [16], 16),
+    (ConeSonar(), None, 0.7, [16, 12], 16),  # a poor map
+    (building_sonar(N150.ring), None, 0.5, [16, 24], 24),  # walls with levels
+    (building_sonar(N150.ring), 0.8, 0.5, [16], 16),  # planes in a building
+])  # fmt: skip
+def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
+    monkeypatch: pytest.MonkeyPatch, sonar: ConeSonar, roughness_in: float | None, misfit: float, made: list[int],
+    best: int,
+) -> None:  # fmt: skip
     monkeypatch.setattr("localization.mapping.learn.MapLearner", Learner)
-    sonar = building_sonar(N150.ring)
-    for rounds, made in (((10, 16), [10, 16]), ((16, 10), [16, 10])):
-        monkeypatch.setattr("localization.mapping.learn.LEVEL_ROUNDS", rounds)
-        Learner.made.clear()
-        assert learn_map(drive(0), NOISE, sonar).cost == 1000.0 / 16.0
-        assert Learner.made == made
-    # Planes are learned once.
+    monkeypatch.setattr(Learner, "misfit", misfit)
     Learner.made.clear()
-    learn_map(drive(0), NOISE, sonar, roughness_in=0.8)
-    learn_map(drive(0), NOISE, ConeSonar())
-    assert len(Learner.made) == 2
+    assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best
+    assert Learner.made == made
