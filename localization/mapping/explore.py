@@ -67,7 +67,8 @@ EXACT_IN: Final = 4.0
 """Space to walls is exact where it differs by less from the least space: that of cells is wrong by up to 3 in."""
 MARGIN_IN: Final = 1.2
 """Least space between body and walls: a gap of 24 in leaves 2.3 in at each side, and cells are 2 in wide. Straight
-lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`."""
+lines and the controller take some tenths of it, and the guard stops at `survey.MAP_MARGIN_IN`, or beside one wall that
+is too near to measure at `survey.BESIDE_MARGIN_IN`."""
 COMFORT_IN: Final = 4.0
 """Space of places to look from, and of the last leg."""
 WALL_SHADOW_IN: Final = 5.0

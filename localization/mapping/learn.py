@@ -6,6 +6,7 @@
     at the end
         join what was not recognized; births from all echoes; part, join, merge, split, swallow, absorb, prune; tie
         points to walls; optimize
+    once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
 
 Revision makes the map as simple as its echoes allow. Each change is tried, optimized and reverted unless the total
 cost, with a penalty for each feature, falls:
@@ -84,8 +85,8 @@ OTHER_NODES, LEVEL_NODES = 12, 24
 """Nodes of a round that are tried as well where the map is poor, or where walls have levels: an early mistake of one is
 none of the other."""
 POOR_MISFIT: Final = 0.68
-"""Misfit of a finished map that is learned once more. Sound ones of flats have 0.5 to 0.66, one in ten up to 0.71, one
-whose rooms were folded by the thickness of a wall 0.72."""
+"""Misfit of a finished map that is learned once more. Sound ones of flats have 0.50 to 0.66, one of 26 had 0.71, and
+one whose rooms were folded by the thickness of a wall 0.72."""
 TRACKED_NODES: Final = 2
 WINDOW_NODES: Final = 60
 """Nodes whose echoes may give birth to features: beyond 30 s the odometry has drifted too far for a Hough cell."""
@@ -228,7 +229,7 @@ class MapLearner:
             self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
-        part_surfaces(self.estimate)
+        split_surfaces(self.estimate)
         close_wall_ends(self.estimate)
 
 
@@ -338,7 +339,7 @@ def prune(estimate: MapEstimate, first_node: int = 0) -> int:
 
 
 def _are_spans(estimate: MapEstimate) -> Mask:
-    """Return True (w,) for walls through two points between which sound should have passed, and has not."""
+    """Return True (w,) for walls through two points between which there is one by what sonars measured (`Span`)."""
     spans = [span.ends for span in uncrossed_spans(estimate, free_paths(estimate)) if span.is_wall]
     within_in = TIE_IN + estimate.surface_in
     return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), within_in).any(axis=1))
@@ -395,7 +396,7 @@ def split(estimate: MapEstimate) -> int:
     return divided
 
 
-def part_surfaces(estimate: MapEstimate) -> None:
+def split_surfaces(estimate: MapEstimate) -> None:
     """Replace walls with levels that have a wide gap by one for each part.
 
     Levels are independent across a gap, so one line through both parts would be the line of neither.
@@ -612,7 +613,7 @@ def join_points(estimate: MapEstimate) -> int:
     """Add walls between two points where no sound has passed and the total cost falls, and return their number.
 
     A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
-    Where sound should have passed, the wall need not pay for itself.
+    Where sound should have passed, or sonars have measured a surface, the wall need not pay for itself.
     """
     joined, tried = 0, set[tuple[float, ...]]()
     while True:
@@ -702,7 +703,7 @@ def _line_of(span: Span) -> tuple[Floats, Floats]:
 
 
 def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstimate:
-    """Return the map with one wall (2,) more, of which points in its middle are part, optimized."""
+    """Return the map with one wall (2,) more, optimized. Points in its middle are part of it, unless it has levels."""
     trial, state = estimate.copy(), estimate.state
     c, s = np.cos(line[0]), np.sin(line[0])
     along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]

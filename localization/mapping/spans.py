@@ -65,7 +65,8 @@ FACING_COS: Final = 0.98
 FACING_MARGIN: Final = 0.25
 """The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
 RECESS_IN: Final = 1.5
-"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
+"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in. Of walls with
+levels it is as far as their surface may be from their line."""
 SHORT_IN: Final = 1.0
 """What ends so much before a span was measured off something else."""
 CLEAR_OF_ENDS_RAD: Final = radians(0.5)
@@ -113,7 +114,10 @@ class Span:
 
     @property
     def is_wall(self) -> bool:
-        """True if sound should have passed, along all of it: a box before a part of the span is no wall."""
+        """True if sonars have measured it, or sound should have passed along all of it.
+
+        A box before a part of the span is no wall.
+        """
         is_silent = self.stopped >= MIN_STOPPED and self.gap_in <= MAX_GAP_IN
         is_short = float(np.hypot(*(self.ends[2:] - self.ends[:2]))) <= MAX_SILENT_IN
         return self.is_measured or (is_short and (is_silent or self.closes_outline))

@@ -59,6 +59,9 @@ sonar may also measure what is behind: the wall at which a box stands, past the 
 CONFIRMED_S, CONFIRMED_IN, NEAR_BY_IN = 30.0, 2.0, 6.0
 """If two readings one after the other agree within CONFIRMED_IN, that is remembered for CONFIRMED_S, while the robot is
 within NEAR_BY_IN of where it measured them: it may stand there, and turn."""
+HIDDEN_IN: Final = 20.0
+"""So far from where a wall was measured it counts while its sonar has its lower limit: a robot that neared one by 15
+degrees touched it after 19 in. It is across the axis of that sonar by 15 degrees or so, and 5 in off after 20 in."""
 REACTION_S: Final = 1.5
 """The speed is such that the free distance ahead lasts this long at least: a turn of the ring, and braking."""
 COMMAND_TIMEOUT_S: Final = 1
@@ -225,10 +228,12 @@ class SpeedGuard:
                 self._near.append(wall)
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
-        # What is too near to be measured now is where it was measured.
+        # What is too near to be measured now is where it was measured, for some way: a wall is not across the axis.
         if reading_in <= self.shortest_in:
             self._near = [
-                near._replace(clock_s=clock_s) if self._is_same_sonar(near.axis_rad, axis_rad) else near
+                near._replace(clock_s=clock_s)
+                if self._is_same_sonar(near.axis_rad, axis_rad) and dist((x, y), (near.x_in, near.y_in)) < HIDDEN_IN
+                else near
                 for near in self._near
             ]
         self._near = [

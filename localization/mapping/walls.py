@@ -262,7 +262,7 @@ def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
 def unpassed_gaps(estimate: MapEstimate, pieces: Sequence[Piece]) -> Floats:
     """Return the gaps (g, 4) between neighbouring pieces of a line, at most a door wide, that no path has crossed."""
     rows = sorted(pieces, key=lambda piece: (piece.line, piece.low))
-    # Ends are in the order of the coordinate, or corners have moved them past one another.
+    # A gap whose ends corners have moved past one another is reversed, which matters to no crossing.
     gaps = [
         np.concatenate((one.ends[1], other.ends[0]))
         for one, other in pairwise(rows) if one.line == other.line and 0.0 < other.low - one.high < MAX_DOOR_IN

@@ -150,18 +150,31 @@ def test_wall_that_has_become_too_near_to_measure_is_where_it_was_measured() -> 
     # 8 in to the left of the ring; then the robot is 3 in nearer, and drives on for 10 s.
     made, limit_in = SpeedGuard(N150), N150.ring.min_range_in
     made.add(0.0, STAND, 0.5 * pi, 8.0)
-    for step in range(1, 11):
+    for step in range(1, 10):
         made.add(float(step), np.array((2.0 * step, 3.0, 0.0, 0.0)), 0.5 * pi, limit_in)
-    here = np.array((20.0, 3.0, 0.0))
+    here = np.array((18.0, 3.0, 0.0))
     # Ten degrees to the left, the wall 67.5 degrees aside of the direction with half of the cone.
     left_in = N150.ring.radius_in + 8.0 - 3.0 - N150.radius_in - 1.5
     assert made.free_in(here, radians(10.0)) == pytest.approx(left_in / np.cos(radians(67.5)))
     assert made.is_blind
     # Away from it nothing is in the way, and a reading shows that it has gone.
     assert made.free_in(here, radians(-10.0)) == np.inf
-    made.add(11.0, np.append(here, 0.0), 0.5 * pi, 20.0)
-    made.add(13.5, np.append(here, 0.0), 0.5 * pi, 20.0)
+    made.add(10.0, np.append(here, 0.0), 0.5 * pi, 20.0)
+    made.add(12.5, np.append(here, 0.0), 0.5 * pi, 20.0)
     assert made.free_in(here, radians(10.0)) > 20.0
+
+
+def test_wall_too_near_to_measure_is_forgotten_after_20_in() -> None:
+    # It may not be across the axis: parallel to the way it would come to lie within the robot.
+    made, limit_in = SpeedGuard(N150), N150.ring.min_range_in
+    made.add(0.0, STAND, radians(75.0), 7.0)
+    found = []
+    for step in range(1, 41):
+        pose = np.array((1.5 * step, 0.0, 0.0, 0.0))
+        made.add(float(step), pose, radians(75.0), limit_in)
+        found.append((float(pose[0]), made.free_in(pose, 0.0)))
+    assert all(free < np.inf for x, free in found if 3.0 < x < 20.0)
+    assert all(free == np.inf for x, free in found if x > 27.0)
 
 
 def trail_to_here(from_in: float, *, rays: bool = False) -> SpeedGuard:

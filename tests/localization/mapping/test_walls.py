@@ -14,7 +14,7 @@ from localization.filters.belief import Floats
 from localization.mapping import association, learn, output, spans, walls
 from localization.mapping.association import MapEstimate, residual_matrix
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import close_wall_ends, find_undecided, join_points, part_surfaces, prune, swallow
+from localization.mapping.learn import close_wall_ends, find_undecided, join_points, prune, split_surfaces, swallow
 from localization.mapping.measurements import rotate
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, PARAMETER_STDS, Levels, MapProblem, Reflection
@@ -515,7 +515,7 @@ def test_parts_of_a_surface_with_a_gap_are_walls_of_their_own(estimate: MapEstim
     parts = np.array([(0.0, low, low + 30.0), (0.0, high - 30.0, high)])
     for made, count in ((estimate.copy(), 4), (with_levels(estimate), 5)):
         made.runs = np.concatenate((made.runs[made.runs[:, 0] != 0.0], parts))
-        part_surfaces(made)
+        split_surfaces(made)
         assert len(made.state.walls) == count
 
 
