@@ -300,7 +300,9 @@ def learn_log(
         return learner
 
     first = learned(NODES_PER_ROUND)
-    if not has_levels and first.estimate.misfit < POOR_MISFIT:
+    # What is poor is known of smooth walls alone.
+    is_poor = roughness_in is None and first.estimate.misfit > POOR_MISFIT
+    if not has_levels and not is_poor:
         return first
     second = learned(LEVEL_NODES if has_levels else OTHER_NODES)
     return min((first, second), key=lambda learner: learner.estimate.cost)

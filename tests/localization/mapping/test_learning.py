@@ -517,6 +517,7 @@ class Learner:
     (ConeSonar(), None, 0.7, [16, 12], 16),  # a poor map
     (building_sonar(N150.ring), None, 0.5, [16, 24], 24),  # walls with levels
     (building_sonar(N150.ring), 0.8, 0.5, [16], 16),  # planes in a building
+    (building_sonar(N150.ring), 0.8, 0.9, [16], 16),  # rough ones fit worse, right or not
 ])  # fmt: skip
 def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     monkeypatch: pytest.MonkeyPatch, sonar: ConeSonar, roughness_in: float | None, misfit: float, made: list[int],
