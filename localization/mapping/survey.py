@@ -228,19 +228,7 @@ class SpeedGuard:
                 self._near.append(wall)
         # 2. The reading. Something that has come nearer by itself may also be where the robot came from.
         wall = _AcrossAxis(clock_s, axis_rad, reading_in, x, y, x * c + y * s + self._ring_in + reading_in)
-        # What is too near to be measured now is where it was measured, for some way: a wall is not across the axis.
-        if reading_in <= self.shortest_in:
-            self._near = [
-                near._replace(clock_s=clock_s)
-                if self._is_same_sonar(near.axis_rad, axis_rad) and dist((x, y), (near.x_in, near.y_in)) < HIDDEN_IN
-                else near
-                for near in self._near
-            ]
-        self._near = [
-            near for near in self._near
-            if self._is_remembered(near, clock_s, (x, y))
-            and (not self._is_same_sonar(near.axis_rad, axis_rad) or self._is_unseen_now(near, [wall], encoders))
-        ]  # fmt: skip
+        self._remember_near(wall, encoders)
         same_sonar = (before for before in reversed(self._walls) if self._is_same_sonar(before.axis_rad, axis_rad))
         before = next(same_sonar, None)
         if before is not None and before.reading_in < self._longest_in:
@@ -258,6 +246,23 @@ class SpeedGuard:
             is_guessed = reading_in <= self.shortest_in
             away = self._ring_in + (0.5 * self.shortest_in if is_guessed else reading_in)
             self._spots.append(_Spot(clock_s, x + away * c, y + away * s, is_guessed))
+
+    def _remember_near(self, wall: _AcrossAxis, encoders: Floats) -> None:
+        """Keep those of the near walls that count beside a new reading.
+
+        What is too near to be measured now is where it was measured, for some inches: a wall is not quite across the
+        axis of the sonar.
+        """
+        place, kept = (wall.x_in, wall.y_in), list[_AcrossAxis]()
+        for before in self._near:
+            is_same, near = self._is_same_sonar(before.axis_rad, wall.axis_rad), before
+            if is_same and wall.reading_in <= self.shortest_in and dist(place, (near.x_in, near.y_in)) < HIDDEN_IN:
+                near = before._replace(clock_s=wall.clock_s)
+            if self._is_remembered(near, wall.clock_s, place) and (
+                not is_same or self._is_unseen_now(near, [wall], encoders)
+            ):
+                kept.append(near)
+        self._near = kept
 
     def _is_same_sonar(self, one_rad: float, other_rad: float) -> bool:
         """Return True if two axes are of one sonar, or of two of which the one looks now where the other did."""
@@ -608,6 +613,33 @@ class _Motion:
             self._leg = None
             self._driver.end_leg(pose, reason, float(pose[2]) + back_rad)
 
+    def _safe_speeds(self, encoders: Floats, pose: Floats, back: float, mapper: LiveMapper) -> tuple[float, float]:
+        """Return the speed that readings and map allow, forward (`back` 0) or backward (pi), and that which is certain.
+
+        The reading that leaves least may be a bad one: the second speed is the one without it.
+        """
+        direction_rad, of_pose_rad = float(encoders[2]) + back, float(pose[2]) + back
+        allowed = self._guard.free_in(encoders, direction_rad) / REACTION_S
+        confirmed = self._guard.confirmed_in / REACTION_S
+        # 1. Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
+        if not self._guard.is_blind:
+            self._blind_from = None
+        elif self._blind_from is None:
+            self._blind_from = encoders
+        if self._blind_from is not None:
+            x, y = (encoders - self._blind_from)[:2].tolist()
+            goes_on = x * cos(direction_rad) + y * sin(direction_rad) > 0.0
+            allowed = 0.0 if goes_on and hypot(x, y) > BLIND_IN else min(allowed, BLIND_IN_S)
+        # 2. In gaps and doors of the map. Whatever it shows, something is where a ray ended.
+        gap_in_s = self._gap_in_s(pose, encoders, of_pose_rad, mapper) if allowed < DOOR_IN_S else 0.0
+        if gap_in_s > allowed:
+            allowed = min(gap_in_s, self._guard.free_of_spots_in(encoders, direction_rad) / REACTION_S)
+        # 3. The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
+        is_alone = self._guard.is_beside and not self._is_between(pose, mapper)
+        margin_in = BESIDE_MARGIN_IN if is_alone else MAP_MARGIN_IN
+        of_map = self._free_of_map_in(pose, of_pose_rad, mapper, margin_in) / REACTION_S
+        return min(allowed, of_map), min(confirmed, of_map)
+
     def _guarded(
         self, command: VelocityCommand, elapsed_s: float, encoders: Floats, pose: Floats, mapper: LiveMapper
     ) -> VelocityCommand | str:
@@ -616,28 +648,7 @@ class _Motion:
         if not speed:
             return command
         back = pi if speed < 0.0 else 0.0
-        free_in = self._guard.free_in(encoders, float(encoders[2]) + back)
-        allowed, confirmed = free_in / REACTION_S, self._guard.confirmed_in / REACTION_S
-        # Beside a wall that is too near to measure, neither far nor fast, however many legs it is; back is free.
-        if not self._guard.is_blind:
-            self._blind_from = None
-        elif self._blind_from is None:
-            self._blind_from = encoders
-        if self._blind_from is not None:
-            x, y = (encoders - self._blind_from)[:2].tolist()
-            goes_on = x * cos(encoders[2] + back) + y * sin(encoders[2] + back) > 0.0
-            allowed = 0.0 if goes_on and hypot(x, y) > BLIND_IN else min(allowed, BLIND_IN_S)
-        gap_in_s = self._gap_in_s(pose, encoders, float(pose[2]) + back, mapper) if allowed < DOOR_IN_S else 0.0
-        if gap_in_s > allowed:
-            # Whatever the map shows, something is where a ray ended.
-            of_spots_in = self._guard.free_of_spots_in(encoders, float(encoders[2]) + back)
-            allowed = min(gap_in_s, of_spots_in / REACTION_S)
-        # The end of a wall may be between two rays, or nearer than sonars measure: the map shows it all the same.
-        margin_in = MAP_MARGIN_IN
-        if self._guard.is_beside and not self._is_between(pose, mapper):
-            margin_in = BESIDE_MARGIN_IN
-        of_map = self._free_of_map_in(pose, float(pose[2]) + back, mapper, margin_in) / REACTION_S
-        allowed, confirmed = min(allowed, of_map), min(confirmed, of_map)
+        allowed, confirmed = self._safe_speeds(encoders, pose, back, mapper)
         assert self._leg is not None
         is_optional = self._leg.is_optional(pose)
         if is_optional:
