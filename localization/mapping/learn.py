@@ -305,7 +305,14 @@ def learn_log(
     if not has_levels and not is_poor:
         return first
     second = learned(LEVEL_NODES if has_levels else OTHER_NODES)
-    return min((first, second), key=lambda learner: learner.estimate.cost)
+    return min((first, second), key=_cost_by_readings)
+
+
+def _cost_by_readings(learner: MapLearner) -> float:
+    """Return the cost of a map with the weights that ranges have before there is one: the same for all maps."""
+    estimate = learner.estimate.copy()
+    estimate.problem = estimate.problem.with_trajectory(learner.trajectory)
+    return estimate.cost
 
 
 def learn_map(

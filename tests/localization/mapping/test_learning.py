@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 import pytest
@@ -19,6 +19,8 @@ from localization.mapping import walls
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
 from localization.mapping.features import FreeEchoes, _decide, _fit
 from localization.mapping.learn import (
+    MapLearner,
+    _cost_by_readings,
     _may_be_faces,
     _merged,
     _thickness,
@@ -524,7 +526,19 @@ def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     best: int,
 ) -> None:  # fmt: skip
     monkeypatch.setattr("localization.mapping.learn.MapLearner", Learner)
+    monkeypatch.setattr("localization.mapping.learn._cost_by_readings", lambda learner: learner.estimate.cost)
     monkeypatch.setattr(Learner, "misfit", misfit)
     Learner.made.clear()
     assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best
     assert Learner.made == made
+
+
+def test_maps_are_compared_with_the_weights_of_readings_alone(estimate: MapEstimate) -> None:
+    made = estimate.copy()
+    trajectory = made.problem.trajectory
+    made.problem = made.problem.with_trajectory(replace(trajectory, weight=np.ones(len(trajectory.weight))))
+    learner = SimpleNamespace(estimate=made, trajectory=made.problem.trajectory)
+    before = made.cost
+    made.problem = made.problem.with_trajectory(replace(trajectory, weight=np.full(len(trajectory.weight), 0.2)))
+    assert made.cost < 0.9 * before
+    assert _cost_by_readings(cast("MapLearner", learner)) == before
