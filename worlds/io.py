@@ -4,18 +4,19 @@
     [[room]]      corners, name                         a closed outline, free inside
     [[wall]]      points, name                          an open line of two points or more
                   offset_std, angle_std_deg, measured   of a measured wall: how well it is known, the length measured
+                  surface                               its measured spots: x, y, standard deviation of the distance
     [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
     [[door]]      name, points, open                    a wall between two points while it is not open
     [[walker]]    points, speed, radius, closed, name   a person who walks along a route; speed per second
     [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, default 0
     [[path]]      name, figure, points, start           waypoints from the start on; start: number of a [[start]]
 
-corners, points, speed, radius, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
+corners, points, surface, speed, radius, x and y end in their unit: _in, _cm or _m. All errors are WorldFileError.
 """
 
 import functools
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import degrees, radians
 from os import PathLike, fspath
@@ -30,8 +31,20 @@ from nclient.common.validation import InvalidValue, Text, convert, reported_as
 from nclient.errors import WorldFileError, suggest
 from worlds import schema
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
-from worlds.schema import Distance, Line, Table, table
-from worlds.world import AT_ORIGIN, MAX_ROUTE_POINTS, Door, Path, Point, Polygon, StartPose, Walker, WallAccuracy, World
+from worlds.schema import Distance, Line, Spots, Table, table
+from worlds.world import (
+    AT_ORIGIN,
+    MAX_ROUTE_POINTS,
+    Door,
+    Path,
+    Point,
+    Polygon,
+    StartPose,
+    SurfaceSpot,
+    Walker,
+    WallAccuracy,
+    World,
+)
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """Folder of the shipped worlds."""
@@ -90,7 +103,8 @@ _HAS_OFFSET: Final = {"anyOf": [{"required": [f"offset_std_{unit}"]} for unit in
 
 
 @table(condition={"dependentSchemas": dict.fromkeys(
-    ["angle_std_deg", *(f"measured_{unit}" for unit in schema.INCHES_PER_UNIT)], _HAS_OFFSET
+    ["angle_std_deg", *(f"{name}_{unit}" for name in ("measured", "surface") for unit in schema.INCHES_PER_UNIT)],
+    _HAS_OFFSET,
 )})  # fmt: skip
 class _Wall(Table):
     """An inner wall."""
@@ -102,18 +116,28 @@ class _Wall(Table):
         Annotated[float, Meta(ge=0.0, le=180.0, description="standard deviation of its direction")] | UnsetType
     ) = UNSET
     measured: Distance | UnsetType = UNSET
+    surface: Spots | UnsetType = UNSET
 
     def accuracy(self) -> WallAccuracy | None:
         """Return the accuracy of each of its walls; None if it was not measured."""
         if self.offset_std is UNSET:
             return None
         angle_deg, measured_in = (0.0 if number is UNSET else number for number in (self.angle_std_deg, self.measured))
-        return WallAccuracy(self.offset_std, radians(angle_deg), measured_in)
+        surface = () if self.surface is UNSET else tuple(SurfaceSpot(*spot) for spot in self.surface)
+        return WallAccuracy(self.offset_std, radians(angle_deg), measured_in, surface)
 
     def check(self) -> None:
         _reject_repeats(self, "points", polyline_segments(self.points))
-        if self.offset_std is UNSET and not (self.angle_std_deg is self.measured is UNSET):
+        if self.offset_std is UNSET and not (self.angle_std_deg is self.measured is self.surface is UNSET):
             raise InvalidValue("expected it beside the other numbers of a measured wall, found none", "offset_std_in")
+        if self.surface is UNSET:
+            return
+        if len(self.points) != 2:
+            found = f"found one of {len(self.points)} points"
+            raise InvalidValue(f"expected it of a wall between two points, {found}", self.key_of("surface"))
+        if negative := [number for number, spot in enumerate(self.surface) if spot[2] < 0.0]:
+            found = f"that of spot {negative[0]} is below"
+            raise InvalidValue(f"expected standard deviations of 0 or more, {found}", self.key_of("surface"))
 
 
 @table()
@@ -428,6 +452,8 @@ def _format_walls(world: World) -> Iterator[str]:
         yield f"angle_std_deg = {degrees(accuracy.angle_std_rad)!r}"
         if accuracy.measured_in:
             yield f"measured_in = {accuracy.measured_in!r}"
+        if accuracy.surface:
+            yield f"surface_in = {_format_points(accuracy.surface)}"
 
 
 def _format_doors_and_walkers(world: World) -> Iterator[str]:
@@ -464,8 +490,9 @@ def _format_outline(kind: str, polygon: Polygon) -> Iterator[str]:
     yield f"corners_in = {_format_points(polygon.corners_in)}"
 
 
-def _format_points(points: Iterable[Point]) -> str:
-    return f"[{', '.join(f'[{float(x)!r}, {float(y)!r}]' for x, y in points)}]"
+def _format_points(points: Iterable[Sequence[float]]) -> str:
+    rows = (", ".join(repr(float(number)) for number in point) for point in points)
+    return f"[{', '.join(f'[{row}]' for row in rows)}]"
 
 
 def _quote(text: str) -> str:

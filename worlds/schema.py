@@ -65,6 +65,14 @@ def points(least: int) -> InUnits:
     return InUnits(type_for)
 
 
+def _spots(limit: float) -> Any:
+    numbers: Any = GenericAlias(tuple, (_length(limit), ...))
+    spot = Annotated[numbers, Meta(min_length=3, max_length=3, title="a spot [x, y, standard deviation]")]
+    rows: Any = GenericAlias(tuple, (spot, ...))
+    title = "a list of spots [[x, y, standard deviation], ...]"
+    return Annotated[rows, Meta(min_length=1, title=title, extra_json_schema={"x-items": "spots"})]
+
+
 Length = Annotated[float, InUnits(_length)]
 Distance = Annotated[float, InUnits(lambda limit: Annotated[float, Meta(gt=0.0, le=limit, title="a length")])]
 """A length, or a speed in lengths, above 0."""
@@ -72,6 +80,8 @@ PointInUnits = Annotated[Point, InUnits(_point)]
 Points = Annotated[tuple[Point, ...], points(1)]
 Line = Annotated[tuple[Point, ...], points(2)]
 Outline = Annotated[tuple[Point, ...], points(3)]
+Spots = Annotated[tuple[tuple[float, float, float], ...], InUnits(_spots)]
+"""Spots of a surface: x, y, and the standard deviation of its distance from the wall."""
 LengthIn = _length(MAX_COORDINATE_IN)
 """A length in inches; PointsIn: points in inches."""
 PointsIn = points(1).type_for(MAX_COORDINATE_IN)

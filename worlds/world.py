@@ -79,8 +79,27 @@ AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
 """Starts of a world that defines none."""
 
 
+class SurfaceSpot(NamedTuple):
+    """A measured spot of a wall's surface, which is beside the line of the wall by a level.
+
+    Attributes
+    ----------
+    x_in, y_in
+        Where it is; the level is its distance from the wall, and holds for SPOT_REACH_IN along it to either side.
+    std_in
+        Standard deviation of the level.
+    """
+
+    x_in: float
+    y_in: float
+    std_in: float
+
+
+SPOT_REACH_IN: Final = 2.0
+
+
 class WallAccuracy(NamedTuple):
-    """Accuracy of a measured wall.
+    """Accuracy of a measured wall, and its surface.
 
     Attributes
     ----------
@@ -90,11 +109,37 @@ class WallAccuracy(NamedTuple):
         Standard deviation of its direction.
     measured_in
         Length over which it was measured; the rest joins it to its neighbours.
+    surface
+        Measured spots; none of a wall that is a plane.
     """
 
     offset_std_in: float
     angle_std_rad: float
     measured_in: float
+    surface: tuple[SurfaceSpot, ...] = ()
+
+
+def is_valid_accuracy(accuracy: WallAccuracy) -> bool:
+    """Return True if no standard deviation or length is below 0, and all numbers are within the largest coordinate."""
+    coordinates = [number for x_in, y_in, _ in accuracy.surface for number in (x_in, y_in)]
+    deviations = [accuracy.offset_std_in, accuracy.angle_std_rad, accuracy.measured_in]
+    deviations += [spot.std_in for spot in accuracy.surface]
+    return all(0.0 <= number <= MAX_COORDINATE_IN for number in deviations) and all(
+        abs(number) <= MAX_COORDINATE_IN for number in coordinates
+    )
+
+
+def moved_surface(surface: Iterable[SurfaceSpot], before: Sequence[float],
+                  after: Sequence[float]) -> tuple[SurfaceSpot, ...]:  # fmt: skip
+    """Return the spots of a wall that was x1 y1 x2 y2 before: as far along it from its middle, and beside it."""
+    places = [complex(*ends[:2]) + complex(*ends[2:]) for ends in (before, after)]
+    along = [complex(*ends[2:]) - complex(*ends[:2]) for ends in (before, after)]
+    turn = along[1] * along[0].conjugate() / abs(along[0] * along[1])
+    found = []
+    for x, y, std_in in surface:
+        place = 0.5 * places[1] + turn * (complex(x, y) - 0.5 * places[0])
+        found.append(SurfaceSpot(place.real, place.imag, std_in))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,7 +473,7 @@ class WorldState:
             if not (len(walker.points_in) > 1 and walker.speed_in_s > 0.0 and walker.radius_in > 0.0):
                 raise ValueError("a walker needs two points, a speed and a radius above 0")
         rows = range(len(self.inner_walls))
-        if not all(row in rows and min(accuracy) >= 0.0 for row, accuracy in accuracies.items()):
+        if not all(row in rows and is_valid_accuracy(accuracy) for row, accuracy in accuracies.items()):
             raise ValueError("the accuracy of a wall that does not exist, or below 0")
         if not all(row in rows for row in self.wall_names or {}):
             raise ValueError("the name of a wall that does not exist")

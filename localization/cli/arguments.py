@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
 from localization.filters.belief import POSE, Belief, Floats, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
@@ -323,9 +323,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     # Of the methods only this one models the surfaces of walls; for the others a building has cones.
     building = sonars.building and options.method == DEFAULT_METHOD
     sonar = building_sonar(body.ring) if building else sonar_of(body.ring, rays=sonars.rays)
-    sonar = with_wall_errors(sonar, world)
-    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
-    return belief, config, sonars
+    return belief, LocalizationConfig.in_world(world, body, options.odometry_noise, sonar, calibration), sonars
 
 
 def find_sonar_model(robot: Robot, simulated: bool, belief: Belief | None, world: World, body: Body,

@@ -23,7 +23,7 @@ import numpy as np
 
 from localization.cli import arguments
 from localization.cli.arguments import START_STD, UNKNOWN, check_writable, resolve_log_body
-from localization.filters.base import LocalizationConfig, with_wall_errors
+from localization.filters.base import LocalizationConfig
 from localization.filters.belief import POSE, independent
 from localization.filters.global_localization import WIDE_IN, WIDE_RAD, is_wide
 from localization.filters.odometry import with_parameters
@@ -299,8 +299,8 @@ def localize_recorded(options: argparse.Namespace) -> int:
     # 2. Initial belief and models.
     belief = independent(options.start or rows[0].odometry, options.start_std or START_STD)
     belief = with_parameters(belief, options.scale_std)
-    sonar = with_wall_errors(SONARS[options.sonars or BUILDING_SETUP](body.ring), world)
-    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar)
+    sonar = SONARS[options.sonars or BUILDING_SETUP](body.ring)
+    config = LocalizationConfig.in_world(world, body, options.odometry_noise, sonar)
     # 3. Run, results.
     done = run_log(rows, body.ring.round_s, make(options.method, config, belief))
     if options.estimates:

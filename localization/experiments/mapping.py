@@ -35,7 +35,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.experiments.execution import add_choice, add_shared, executor_for, parser_of, progress, text_table
-from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of, with_wall_errors
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
 from localization.filters.belief import HEADING, Floats, independent, wrap_angle
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
@@ -581,8 +581,7 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
     begin = measurements.rotate(true[0, :2] - shift, np.array(-turn))
     start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
     ring = building_sonar(N150.ring) if setup == BUILDING_SETUP else sonar_of(N150.ring, rays=setup not in RING_SETUPS)
-    sonar = with_wall_errors(ring, world)
-    config = LocalizationConfig(world.walls, N150, THESIS_ODOMETRY, sonar)
+    config = LocalizationConfig.in_world(world, N150, THESIS_ODOMETRY, ring)
     localizer = Localizer(config, start, FiringSchedule(float(clock[0])))
     # 2. The states of the recording again. Each shows the last reading of each sonar.
     readings = [255.0] * len(driven.log.angles_rad)

@@ -10,8 +10,8 @@ Filters are made by name (registry.make). Echoes come in order of time, each aft
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from localization.filters.update import MeasurementModel, Outcome, UpdateResult
 from worlds.geometry import lengths
 from worlds.rings import Ring
 from worlds.robots import IDEAL_CALIBRATION, Body, Calibration
-from worlds.world import World
+from worlds.world import SurfaceSpot, World
 
 THESIS_ODOMETRY: Final = OdometryNoise()
 """Noise of the encoders in the experiments."""
@@ -175,6 +175,8 @@ class LocalizationConfig:
         No wall is nearer to the robot's axis than this: its radius, or slightly less.
     calibration
         Systematic errors of this robot: its sonars are corrected by them; its wheels are part of the belief.
+    surfaces
+        Measured surfaces of walls by their rows, for Kalman filters with sonars in a building (`surface.py`).
     range_stds
         Standard deviations of the errors that all readings have in common, before the first echo: of their offset,
         inches, and of their scale (`update.RANGE_PARAMETERS`). Kalman filters estimate them. None: there are none.
@@ -188,6 +190,16 @@ class LocalizationConfig:
     clearance_in: float = 9.0
     calibration: Calibration = IDEAL_CALIBRATION
     range_stds: tuple[float, float] | None = RANGE_STDS
+    surfaces: Mapping[int, tuple[SurfaceSpot, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def in_world(cls, world: World, body: Body, odometry: OdometryNoise, sonar: RaySonar | ConeSonar,
+                 calibration: Calibration = IDEAL_CALIBRATION) -> LocalizationConfig:  # fmt: skip
+        """Return the configuration for a map, with the accuracy and the surfaces of the walls that were measured."""
+        first = len(world.fixed_walls) - len(world.inner_walls)
+        surfaces = {first + row: accuracy.surface for row, accuracy in world.accuracies.items() if accuracy.surface}
+        sonar = with_wall_errors(sonar, world)
+        return cls(world.walls, body, odometry, sonar, calibration=calibration, surfaces=surfaces)
 
 
 def sonar_of(ring: Ring, *, rays: bool) -> RaySonar | ConeSonar:

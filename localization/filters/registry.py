@@ -154,7 +154,7 @@ def _kalman(config: LocalizationConfig, belief: Belief, rule: Rule = linear,
     if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
         # It stores where echoes were: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
-        measurement, limits = SurfaceUpdate(SurfaceModel(cone)), BUILDING
+        measurement, limits = SurfaceUpdate(SurfaceModel(cone, config.surfaces)), BUILDING
     return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), limits)
 
 

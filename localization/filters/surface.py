@@ -9,7 +9,13 @@ measured last are states of the filter. An echo has two hypotheses for a wall:
     same level    z = h(x) + b        b, the level of this wall so far         probability exp(-d / length)
     new level     z = h(x) + b'       b', drawn from N(0, std^2)               the rest
 
-each with the variance r of the reading. Both are weighed by their probability, and merged into one Gaussian in which
+each with the variance r of the reading. A map that was learned there states spots of the surface. Where an echo comes
+from one, with the level l and its standard deviation s, there is a third hypothesis:
+
+    surface as learned   z = h(x) + l,  variance r + s^2 + SPOT_STD_IN^2       probability AS_LEARNED, the others less
+
+Without it a learned map would be no better than the true straight lines of the walls, whose surfaces the filter has
+to measure on each drive anew. All are weighed by their probability, and merged into one Gaussian in which
 the wall's level is b or b'. A first echo measures the position to r + std^2; all echoes of one level together measure
 it no better than to std^2, but the heading, by how the range changes along the level, to the few millimetres of a
 smooth wall. A robot that stands learns nothing more from more echoes.
@@ -24,17 +30,19 @@ Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Naviga
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from math import exp, hypot
 from typing import Final
 
 import numpy as np
 
 from localization.filters import update
-from localization.filters.belief import HEADING, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, detectable
+from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
+from localization.filters.sonar_cone import ConeModel, arm_of, detectable, to_wall
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Association, Covariance, MeasurementUpdate, State, UpdateResult
+from worlds.world import SPOT_REACH_IN, SurfaceSpot
 
 MAX_NIS: Final = 16.0
 """An echo within four standard deviations of a wall on a new level is taken for one of it."""
@@ -42,6 +50,11 @@ MAX_LEVELS: Final = 6
 """Walls whose level is a state: a ring measures few walls at a time, and the cost grows with the square."""
 LEVEL_STATES: Final = MAX_LEVELS + 1
 """Coordinates of the state for the levels, and for the level that a wall may change to."""
+AS_LEARNED: Final = 0.9
+"""Probability that a learned spot of a surface is still there. From 0.5 on it hardly matters where it is; where all
+surfaces have changed, with 0.9 a position is half again as far off."""
+SPOT_STD_IN: Final = 0.4
+"""Standard deviation of a surface from the level of a spot: where one level ends within it, the rest is an inch off."""
 
 
 class _Level:
@@ -53,6 +66,32 @@ class _Level:
         self.echo = 0
 
 
+class _Surface:
+    """The learned spots of a wall: where along it, their levels towards its normal, and the variances of these.
+
+    Parameters
+    ----------
+    spots
+        (k, 3) x, y and standard deviation of the level.
+    corner, along, normal
+        (2,) beginning of the wall, its direction, and its normal.
+    """
+
+    def __init__(self, spots: Sequence[SurfaceSpot], corner: Floats, along: Floats, normal: Floats) -> None:
+        rows = np.array(spots).reshape(-1, 3)
+        at = (rows[:, :2] - corner) @ along
+        order = np.argsort(at, kind="stable")
+        self._at: list[float] = at[order].tolist()
+        self._levels: list[float] = ((rows[:, :2] - corner) @ normal)[order].tolist()
+        self._variances: list[float] = (np.square(rows[:, 2]) + SPOT_STD_IN**2)[order].tolist()
+
+    def level_at(self, at: float) -> tuple[float, float] | None:
+        """Return the level of the spot at a coordinate along the wall and its variance; None where there is none."""
+        after = bisect_left(self._at, at)
+        near = min(range(max(after - 1, 0), min(after + 1, len(self._at))), key=lambda row: abs(self._at[row] - at))
+        return (self._levels[near], self._variances[near]) if abs(self._at[near] - at) <= SPOT_REACH_IN else None
+
+
 class SurfaceModel:
     """Measurement model of cones among walls with a surface, for one filter: the state has the levels of its walls.
 
@@ -60,10 +99,17 @@ class SurfaceModel:
     ----------
     cone
         The cone model, whose noise has the surface.
+    surfaces
+        Learned spots of walls by their rows in the map.
     """
 
-    def __init__(self, cone: ConeModel) -> None:
+    def __init__(self, cone: ConeModel, surfaces: Mapping[int, Sequence[SurfaceSpot]] | None = None) -> None:
         self._cone, self._walls, self.noise = cone, len(cone.faces), cone.noise
+        faces = cone.around
+        self._surfaces = {
+            row: _Surface(spots, faces.corners[row], faces.along[row], faces.normals[row])
+            for row, spots in (surfaces or {}).items()
+        }
         self._levels: dict[int, _Level] = {}
         """By the number of the reflector."""
         self._echoes = 0
@@ -80,7 +126,9 @@ class SurfaceModel:
 
     def associate(self, x: State, P: Covariance, sonar: int, turret_offset_rad: float,
                   reading_in: float) -> Association:
-        """Return two hypotheses for each reflector that may return the first echo: on the same level, on a new one.
+        """Return hypotheses for each reflector that may return the first echo: on the same level, on a new one.
+
+        And that its surface is as it was learned.
 
         A reading that fits no reflector is refused with NO_WALL where probably no wall is detected: real buildings are
         full of small things, and echoes of them say nothing of the pose. Nor does a missing edge: the end of a wall on
@@ -94,6 +142,8 @@ class SurfaceModel:
         expected, derivatives, variances, probabilities = [], [], [], []
         self._hypotheses, nearest_nis = [], MAX_NIS
         first = len(x) - range_parameters - LEVEL_STATES
+        arm_x, arm_y = arm_of(mount, *unit_vector(x[HEADING] + mount.direction_rad))
+        face_x, face_y = x[0] + arm_x, x[1] + arm_y
         for candidate in candidates:
             # 1. The reading if the wall were where the map says, and its derivative but for the levels.
             variance = range_variance(noise, candidate.range_in)
@@ -103,6 +153,15 @@ class SurfaceModel:
             if level := self._levels.get(candidate.reflector):
                 same = exp(-hypot(self._x - level.x_in, self._y - level.y_in) / noise.surface_length_in)
                 hypotheses = [(level.number, same), (MAX_LEVELS, 1.0 - same)]
+            # 3. The learned level of the spot that it comes from.
+            if learned := self._learned(candidate.reflector, face_x, face_y):
+                change_in, level_variance = learned
+                hypotheses = [(number, (1.0 - AS_LEARNED) * probability) for number, probability in hypotheses]
+                expected.append(reading + change_in)
+                derivatives.append([*H[:3], *[0.0] * LEVEL_STATES, *H[3:]])
+                variances.append(variance + level_variance)
+                probabilities.append(candidate.probability * AS_LEARNED)
+                self._hypotheses.append((candidate.reflector, False))
             for number, probability in hypotheses:
                 of_levels = [0.0] * LEVEL_STATES
                 of_levels[number] = 1.0
@@ -118,6 +177,21 @@ class SurfaceModel:
             return Association(update.Refusal.NO_WALL, noise.outlier_density)
         return Association(update.Refusal.NONE, 1.0, expected, derivatives, variances, [0.0] * len(variances),
                            probabilities, None, noise.outlier_probability, noise.outlier_density)  # fmt: skip
+
+    def _learned(self, reflector: int, face_x: float, face_y: float) -> tuple[float, float] | None:
+        """Return by how much the learned surface changes the range from a sonar's face, and the variance of this.
+
+        None where it was not learned. A level is towards the normal of the wall: from that side ranges are shorter.
+        """
+        if reflector not in self._surfaces:
+            return None
+        corner_x, corner_y, normal_x, normal_y, _ = self._cone.faces[reflector]
+        _, toward_x, toward_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
+        spot = self._surfaces[reflector].level_at(foot)
+        if spot is None:
+            return None
+        level_in, variance = spot
+        return (toward_x * normal_x + toward_y * normal_y) * level_in, variance
 
     def merge(self, x: State, P: Covariance, corrections: Sequence[update.Correction], beta: Sequence[float]) -> None:
         """Replace x and P by the mean and covariance of the mixture of all hypotheses, in place.

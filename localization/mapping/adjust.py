@@ -26,7 +26,7 @@ import numpy as np
 from localization.filters.belief import Floats, chi_square_quantile
 from nclient.errors import NomadError
 from worlds.geometry import FloatArray, IndexArray, nearest_points
-from worlds.world import Point, WallAccuracy, World
+from worlds.world import Point, WallAccuracy, World, moved_surface
 
 UNKNOWN_ACCURACY: Final = WallAccuracy(1.0, radians(2.0), 0.0)
 """Of a wall that was not measured: a drawing by eye."""
@@ -128,7 +128,9 @@ def adjust_walls(world: World, lengths: Iterable[TapeLength]) -> Adjustment:
     rows = list(_accuracy_rows(x0, of_wall))
     stds = [[float(np.sqrt(row @ P @ row)) for row in pair] for pair in rows]
     adjusted = {
-        row: WallAccuracy(stds[row][0], stds[row][1], accuracy.measured_in)
+        row: WallAccuracy(
+            stds[row][0], stds[row][1], accuracy.measured_in, moved_surface(accuracy.surface, walls[row], moved[row])
+        )
         for row, accuracy in sorted(world.accuracies.items())
     }
     return Adjustment(

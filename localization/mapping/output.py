@@ -343,7 +343,7 @@ def describe(
     path[:, :2] = rotate(path[:, :2], np.full(len(path), -turn))
     path[:, HEADING] -= turn
     points = rotate(estimate.state.points, np.full(len(estimate.state.points), -turn))
-    turned = [replace(wall, ends=rotate(wall.ends, np.full(2, -turn))) for wall in walls]
+    turned = [wall.placed(lambda points: rotate(points, np.full(len(points), -turn))) for wall in walls]
     rest = np.zeros(POSE) if rest is None else rest
     if unexplored is not None:
         unexplored = rotate(unexplored, np.full(len(unexplored), -turn))

@@ -43,13 +43,14 @@ from localization.filters.sonar_cone import ConeSonar, range_jacobian, to_vertex
 from localization.filters.sonar_ray import intersect_line
 from localization.mapping.measurements import Indices, Trajectory, rotate
 from localization.mapping.solver import NormalEquations
+from worlds.world import SPOT_REACH_IN
 
 NO_FEATURE: Final = -1
 """Feature of an echo that nothing explains."""
 NO_LEVEL: Final = -1
 """Level of an echo that is of no wall, or of a plane."""
-LEVEL_CELL_IN: Final = 4.0
-"""Length of a wall that has one level: a sixth of the mean length of a level, so that few cells have two of them."""
+LEVEL_CELL_IN: Final = 2.0 * SPOT_REACH_IN
+"""4 in of a wall have one level: a sixth of the mean length of a level, so that few cells have two of them."""
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""

@@ -28,7 +28,7 @@ from localization.mapping.problem import robust_weight
 from localization.mapping.spans import MIN_CORNER_RAD
 from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths, surface_lines
 from worlds.geometry import lengths, nearest_points
-from worlds.world import StartPose, WallAccuracy, World
+from worlds.world import StartPose, WallAccuracy, World, moved_surface
 
 START_STD: Final = (2.0, 2.0, radians(5.0))
 """Standard deviations of the start pose, in, in, rad: the first legs of a drive measure its heading poorly."""
@@ -197,7 +197,8 @@ def compare(world: World, estimate: MapEstimate, start: Floats, rest: Floats, tu
     true = _Fit(1.0, fit.turn, fit.shift / fit.scale, fit.agrees, fit.scale_std)
     walls = world.walls / fit.scale
     starts, ends = (true.places(points) for points in free_paths(estimate))
-    ends_of = np.array([true.places(piece.ends) for piece in pieces]).reshape(-1, 4)
+    pieces = [piece.placed(true.places) for piece in pieces]
+    ends_of = np.array([piece.ends for piece in pieces]).reshape(-1, 4)
     placed = true.places(measured.reshape(-1, 2)).reshape(-1, 4)
     last = estimate.state.poses[-1]
     pose = compose(np.array((*true.places(last[None, :2])[0], last[HEADING] + true.turn)), rest)
@@ -391,7 +392,10 @@ def _changed(
     """Return the walls (k, 4) after the changes, the accuracies of those that were measured, and the names."""
     first = len(world.fixed_walls) - len(world.inner_walls)
     rows = {row: wall.copy() for row, wall in enumerate(walls)}
-    accuracies = {first + row: accuracy for row, accuracy in world.accuracies.items()}
+    accuracies = {
+        row: accuracy._replace(surface=moved_surface(accuracy.surface, world.walls[row], walls[row]))
+        for row, accuracy in ((first + row, accuracy) for row, accuracy in world.accuracies.items())
+    }
     moved = {change.row: change for change in changes if change.kind == "moved"}
     # 1. Moved walls keep their corners: both lines go on to where they meet.
     for row, change in moved.items():

@@ -14,8 +14,8 @@ Baarda, S-Transformations and Criterion Matrices (1973): covariance without the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import radians
 from typing import Final
@@ -35,7 +35,7 @@ from localization.mapping.association import (
 )
 from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
-from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, POINT, ROBUST_LIMIT, WALL, sensors_at
+from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, NO_LEVEL, POINT, ROBUST_LIMIT, WALL, sensors_at
 from localization.mapping.spans import (
     MIN_CORNER_RAD,
     MIN_CROSSINGS,
@@ -48,7 +48,7 @@ from localization.mapping.spans import (
     find_wall_ends,
     uncrossed_spans,
 )
-from worlds.world import WallAccuracy
+from worlds.world import SPOT_REACH_IN, SurfaceSpot, WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
 MIN_PASSED, MIN_PASSED_FRACTION = 5, 0.1
@@ -108,6 +108,8 @@ class Piece:
         Standard deviation of each closed end along the wall; None for an open one, which lies beyond.
     spots
         Coordinates of the outermost reflecting spots if these are not `low` and `high`.
+    surface
+        (k, 3) spots of its surface that were measured: x, y, and the standard deviation of the level, inches.
     """
 
     line: int
@@ -120,6 +122,12 @@ class Piece:
     std_rad: float = 0.0
     end_stds_in: tuple[float | None, float | None] = (None, None)
     spots: tuple[float, float] | None = None
+    surface: Floats = field(default_factory=lambda: np.empty((0, 3)))
+
+    def placed(self, places: Callable[[Floats], Floats]) -> Piece:
+        """Return the wall in another frame, to which a function brings points (n, 2)."""
+        surface = np.column_stack((places(self.surface[:, :2]), self.surface[:, 2]))
+        return replace(self, ends=places(self.ends), surface=surface)
 
     @property
     def measured_in(self) -> float:
@@ -137,7 +145,9 @@ class Piece:
     @property
     def accuracy(self) -> WallAccuracy:
         """Accuracy as a world file states it, above 0: after their rigid fit two walls alone have exact offsets."""
-        return WallAccuracy(max(round(self.std_in, 4), MIN_STD_IN), round(self.std_rad, 5), round(self.measured_in, 2))
+        surface = tuple(SurfaceSpot(*spot) for spot in (np.round(self.surface, 3) + 0.0).tolist())
+        std_in = max(round(self.std_in, 4), MIN_STD_IN)
+        return WallAccuracy(std_in, round(self.std_rad, 5), round(self.measured_in, 2), surface)
 
     @property
     def length_in(self) -> float:
@@ -212,6 +222,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
     if with_accuracy:
         _add_accuracy(estimate, pieces, lines)
+        _add_surfaces(estimate, pieces, lines)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
 
@@ -684,6 +695,22 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
             end_row = np.concatenate((derivative, np.zeros(len(covariance) - len(derivative)))) - rigid @ gauge
             stds[end] = max(float(end_row @ covariance @ end_row), 0.0) ** 0.5
         piece.end_stds_in = (stds[0], stds[1])
+
+
+def _add_surfaces(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]) -> None:
+    """Add the measured spots of their surfaces to the pieces: the middles of cells whose levels have echoes."""
+    levels, echoes = estimate.state.levels, estimate.assignment.level
+    counts = np.bincount(echoes[echoes != NO_LEVEL], minlength=len(levels))
+    for piece in pieces:
+        rows = np.arange(len(levels))[levels.of(piece.line)]
+        rows = rows[counts[rows] > 0]
+        angle, offset = estimate.state.walls[piece.line]
+        normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        t = LEVEL_CELL_IN * (levels.cell[rows] + 0.5)
+        places = (offset + levels.value_in[rows])[:, None] * normal + t[:, None] * along
+        coordinates = places @ lines[piece.line].along
+        is_within = (coordinates > piece.low - SPOT_REACH_IN) & (coordinates < piece.high + SPOT_REACH_IN)
+        piece.surface = np.column_stack((places, np.sqrt(levels.var_in2[rows])))[is_within]
 
 
 def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Floats | None:

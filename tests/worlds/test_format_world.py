@@ -7,7 +7,7 @@ import pytest
 
 from nclient.errors import WorldFileError
 from worlds.io import format_world, load_world, parse_world, world_names
-from worlds.world import Path, Polygon, StartPose, WallAccuracy, World
+from worlds.world import Path, Polygon, StartPose, SurfaceSpot, WallAccuracy, World, WorldState, moved_surface
 
 
 def same(one: World, other: World) -> None:
@@ -85,11 +85,65 @@ def test_measured_walls_keep_their_accuracy() -> None:
     # Walls without one come first.
     np.testing.assert_allclose(again.inner_walls, walls[[2, 0, 1]])
     assert sorted(again.accuracies) == [1, 2]
-    assert again.accuracies[1] == pytest.approx(accuracies[0])
-    assert again.accuracies[2] == pytest.approx(accuracies[1])
+    for row, accuracy in accuracies.items():
+        assert again.accuracies[row + 1][:3] == pytest.approx(accuracy[:3])
     # 2.54 cm = 1 in.
     in_cm = "[[wall]]\npoints_in = [[0, 0], [9, 0], [9, 9]]\noffset_std_cm = 2.54\n[[start]]\nx_in = 5\ny_in = 5\n"
     for without in ("angle_std_deg = 1", "measured_m = 2"):
         with pytest.raises(WorldFileError, match=r"wall\[0\]\.offset_std_in"):
             parse_world(in_cm.replace("offset_std_cm = 2.54", without), "", "w")
-    assert parse_world(in_cm, "", "w").accuracies == {row: pytest.approx((1.0, 0.0, 0.0)) for row in (0, 1)}
+    again = parse_world(in_cm, "", "w")
+    assert [again.accuracies[row].offset_std_in for row in (0, 1)] == pytest.approx([1.0, 1.0])
+
+
+SURFACE = (SurfaceSpot(8.0, -1.25, 0.2), SurfaceSpot(12.0, 0.5, 0.3))
+
+
+def test_measured_surface_of_a_wall_is_kept() -> None:
+    walls = np.array([[0, 0, 50, 0], [50, 0, 50, 60]], dtype=np.float64)
+    accuracies = {0: WallAccuracy(0.25, 0.01, 40.0, SURFACE), 1: WallAccuracy(0.5, 0.02, 0.0)}
+    world = World("w", "", inner_walls=walls, starts=(StartPose(20.0, 30.0),), accuracies=accuracies)
+    text = format_world(world)
+    assert "surface_in = [[8.0, -1.25, 0.2], [12.0, 0.5, 0.3]]" in text
+    again = parse_world(text, "again.toml", "again")
+    assert [again.accuracies[row].surface for row in (0, 1)] == [SURFACE, ()]
+    # Each number has the unit of the key.
+    in_cm = text.replace("surface_in = [[8.0, -1.25, 0.2], [12.0, 0.5, 0.3]]", "surface_cm = [[2.54, -5.08, 0.254]]")
+    (spot,) = parse_world(in_cm, "again.toml", "again").accuracies[0].surface
+    assert spot == pytest.approx((1.0, -2.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("points_in = [[0, 0], [9, 0]]\nsurface_in = [[1, 0, 0.1]]", r"wall\[0\]\.offset_std_in: expected it beside"),
+     ("points_in = [[0, 0], [9, 0], [9, 9]]\noffset_std_in = 1\nsurface_in = [[1, 0, 0.1]]",
+      r"wall\[0\]\.surface_in: expected it of a wall between two points, found one of 3 points"),
+     ("points_in = [[0, 0], [9, 0]]\noffset_std_in = 1\nsurface_m = [[0, 0, 1], [0, 0, -1]]",
+      r"wall\[0\]\.surface_m: expected standard deviations of 0 or more, that of spot 1 is below"),
+     ("points_in = [[0, 0], [9, 0]]\noffset_std_in = 1\nsurface_in = [[1, 0]]", r"a spot \[x, y, standard deviation\]"),
+     ("points_in = [[0, 0], [9, 0]]\noffset_std_in = 1\nsurface_in = []", "spot")],
+)  # fmt: skip
+def test_wrong_surfaces_are_refused(text: str, words: str) -> None:
+    with pytest.raises(WorldFileError, match=words):
+        parse_world(f"[[wall]]\n{text}\n[[start]]\nx_in = 5\ny_in = 5\n", "", "w")
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 2.5])
+def test_surface_moves_with_its_wall(angle: float) -> None:
+    """Oracle: coordinates along both walls from their middles, and distances from them."""
+    before, middle, half = np.array([0.0, 0.0, 50.0, 0.0]), np.array([7.0, 9.0]), 26.0
+    along, left = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    found = moved_surface(SURFACE, before.tolist(), [*(middle - half * along), *(middle + half * along)])
+    for (x, y, std_in), spot in zip(SURFACE, found, strict=True):
+        off = np.array(spot[:2]) - middle
+        assert (off @ along, off @ left, spot.std_in) == pytest.approx((x - 25.0, y, std_in))
+
+
+def test_impossible_surfaces_of_a_state_are_refused() -> None:
+    walls = np.array([[0, 0, 50, 0]], dtype=np.float64)
+    good = World("w", inner_walls=walls, accuracies={0: WallAccuracy(0.1, 0.0, 0.0, SURFACE)})
+    assert WorldState.of(good).world().accuracies == good.accuracies
+    for wrong in (SurfaceSpot(8.0, 0.0, -0.1), SurfaceSpot(1e6, 0.0, 0.1), SurfaceSpot(8.0, float("nan"), 0.1)):
+        state = WorldState.of(World("w", inner_walls=walls, accuracies={0: WallAccuracy(0.1, 0.0, 0.0, (wrong,))}))
+        with pytest.raises(ValueError, match="accuracy"):
+            state.world()

@@ -51,7 +51,18 @@ from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_pa
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.geometry import nearest_distances
 from worlds.io import format_world, parse_world, route_error
-from worlds.world import MAX_ROUTE_POINTS, Door, Point, Polygon, StartPose, Walker, WallAccuracy, World
+from worlds.world import (
+    MAX_ROUTE_POINTS,
+    Door,
+    Point,
+    Polygon,
+    StartPose,
+    SurfaceSpot,
+    Walker,
+    WallAccuracy,
+    World,
+    is_valid_accuracy,
+)
 
 # Corners are displayed rounded to a thousandth of an inch.
 CORNER_TOLERANCE_IN: Final = 0.002
@@ -199,8 +210,10 @@ def _read_accuracy(value: Any) -> WallAccuracy | None:
     """Return the accuracy of a wall, None if it was not measured. Raises TypeError or ValueError."""
     if value is None:
         return None
-    accuracy = WallAccuracy(*map(float, value))
-    if not all(0.0 <= number <= MAX_COORDINATE_IN for number in accuracy):
+    offset_std_in, angle_std_rad, measured_in, *surfaces = value
+    spots = tuple(SurfaceSpot(*map(float, spot)) for surface in surfaces for spot in surface)
+    accuracy = WallAccuracy(float(offset_std_in), float(angle_std_rad), float(measured_in), spots)
+    if not is_valid_accuracy(accuracy):
         raise ValueError("not an accuracy")
     return accuracy
 

@@ -13,10 +13,11 @@ from localization.filters.health import HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import BUILDING_SONAR, ConeModel, ConeSonar
-from localization.filters.surface import LEVEL_STATES, MAX_LEVELS, SurfaceModel, SurfaceUpdate
+from localization.filters.surface import AS_LEARNED, LEVEL_STATES, MAX_LEVELS, SPOT_STD_IN, SurfaceModel, SurfaceUpdate
 from localization.filters.update import Refusal
 from worlds.rings import Ring
 from worlds.robots import N150, Body
+from worlds.world import SurfaceSpot, WallAccuracy, World
 
 WALL = np.array([[-500.0, 40.0, 2000.0, 40.0]])
 CORRIDOR = np.array([[-500.0, 40.0, 2000.0, 40.0], [-500.0, -40.0, 2000.0, -40.0]])
@@ -269,3 +270,63 @@ def test_the_end_of_a_wall_on_the_map_need_not_be_detected() -> None:
     localizer = make("ekf", config, independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01]))
     assert localizer.update(1, 0.0, 150.0).refusal is Refusal.NO_WALL
     assert localizer.update(0, 0.0, 150.0).refusal is Refusal.NO_WALL
+
+
+# Learned surfaces.
+
+LEARNED = (SurfaceSpot(1.0, 41.5, 0.3), SurfaceSpot(5.0, 38.0, 0.1), SurfaceSpot(30.0, 40.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("x", "sonar", "y", "level"),
+    [(0.0, LEFT, 0.0, 1.5), (2.9, LEFT, 0.0, 1.5), (4.0, LEFT, 0.0, -2.0), (1.0, RIGHT, 80.0, -1.5)],
+)
+def test_echo_of_a_learned_spot_is_expected_at_its_level(x: float, sonar: int, y: float, level: float) -> None:
+    """Oracle: the distance of the spot from the face of the sonar, on either side of the wall."""
+    model = SurfaceModel(ConeModel(WALL, N150, SONAR), {0: LEARNED})
+    state, cov = with_levels([x, y, 0.0], 0)
+    plane = 40.0 - N150.sonar_ring_radius_in
+    found = model.associate(state, cov, sonar, 0.0, plane + level)
+    assert found.ranges_in == pytest.approx([plane + level, plane])
+    spot = 0.1 if level == -2.0 else 0.3
+    assert found.R[0] == pytest.approx(found.R[1] + spot**2 + SPOT_STD_IN**2)
+    assert found.probability[0] / sum(found.probability) == pytest.approx(AS_LEARNED)
+
+
+@pytest.mark.parametrize("x", [-2.0, 8.0, 20.0, 34.0])
+def test_elsewhere_a_surface_is_unknown(x: float) -> None:
+    model, plain = SurfaceModel(ConeModel(WALL, N150, SONAR), {0: LEARNED}), SurfaceModel(ConeModel(WALL, N150, SONAR))
+    state, cov = with_levels([x, 0.0, 0.0], 0)
+    found, expected = (each.associate(state, cov, LEFT, 0.0, 31.0) for each in (model, plain))
+    assert (found.ranges_in, found.R, found.probability) == (expected.ranges_in, expected.R, expected.probability)
+
+
+def test_derivatives_of_a_learned_surface_are_finite_differences() -> None:
+    x, cov = with_levels([1.5, 2.0, 0.05], 2)
+    x[-2:] = 0.3, 0.01
+    model = SurfaceModel(ConeModel(WALL, N150, SONAR, 2), {0: LEARNED})
+    SurfaceUpdate(model).apply(x, cov, LEFT, 0.0, 29.0)
+    found = model.associate(x, cov, LEFT, 0.0, 28.5)
+    assert len(found.H) == 3
+    for column in range(len(x)):
+        step = 1e-5
+        ahead, behind = ([*x[:column], x[column] + sign * step, *x[column + 1 :]] for sign in (1, -1))
+        one, other = (model.associate(state, cov, LEFT, 0.0, 28.5).ranges_in for state in (ahead, behind))
+        slope = [(a - b) / (2 * step) for a, b in zip(one, other, strict=True)]
+        assert [row[column] for row in found.H] == pytest.approx(slope, abs=1e-6)
+
+
+def test_a_learned_surface_tells_the_distance_of_a_wall() -> None:
+    """A wall that stands 3 in out where it was learned: with its surface the position is right, without 3 in off."""
+    surface = tuple(SurfaceSpot(float(x), 37.0, 0.1) for x in range(-40, 240, 4))
+    corridor = World("corridor", inner_walls=CORRIDOR, accuracies={0: WallAccuracy(0.0001, 0.0, 90.0, surface)})
+    config = LocalizationConfig.in_world(corridor, N150, EXACT, SONAR)
+    errors = []
+    for known in (config, replace(config, surfaces={})):
+        localizer = make("ekf", replace(known, range_stds=None), independent([0.0, 0.0, 0.0], [0.5, 2.0, 0.01]))
+        for _ in range(50):
+            localizer.predict(2.0, 0.0)
+            localizer.update(LEFT, 0.0, 37.0 - N150.sonar_ring_radius_in)
+        errors.append(abs(float(localizer.belief.mean[1])))
+    assert errors[0] < 0.2
+    assert errors[1] > 1.0

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from localization.filters.belief import Floats
 from localization.mapping.adjust import ALONG_STD_IN, AdjustmentError, TapeLength, adjust_walls
-from worlds.world import WallAccuracy, World
+from worlds.world import SurfaceSpot, WallAccuracy, World
 
 ROOM = np.array([[0.0, 0.0, 100.0, 0.0], [100.0, 0.0, 100.0, 80.0], [100.0, 80.0, 0.0, 80.0], [0.0, 80.0, 0.0, 0.0]])
 STDS = (0.05, 0.2, 0.04, 0.1)
@@ -116,3 +116,12 @@ def test_walls_without_accuracy_give_way() -> None:
     found = adjust_walls(world, [TapeLength(((0, 0), (100, 0)), 100.5, 0.01)]).world
     assert found.inner_walls[1, 0] == pytest.approx(100.5, abs=0.03)
     assert list(found.accuracies) == [3]
+
+
+def test_surface_moves_with_an_adjusted_wall() -> None:
+    surface = (SurfaceSpot(101.5, 20.0, 0.2),)
+    world = replace(room(), accuracies={1: WallAccuracy(0.5, 0.0, 50.0, surface)})
+    found = adjust_walls(world, [TapeLength(((0, 0), (100, 0)), 100.5, 0.01)]).world
+    (spot,) = found.accuracies[1].surface
+    assert spot.x_in - found.inner_walls[1, 0] == pytest.approx(1.5, abs=0.01)
+    assert (spot.y_in, spot.std_in) == pytest.approx((20.0, 0.2), abs=0.1)

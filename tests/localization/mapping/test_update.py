@@ -14,12 +14,12 @@ from localization.mapping import update
 from localization.mapping.association import MapEstimate
 from localization.mapping.output import MapRefused
 from localization.mapping.update import MapDifference, compare
-from localization.mapping.walls import extract_walls
+from localization.mapping.walls import Piece, extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import LAP, ROOM
 from worlds.io import format_world, load_world
 from worlds.validate import validate_world
-from worlds.world import StartPose, World
+from worlds.world import StartPose, SurfaceSpot, WallAccuracy, World
 
 WALLS: Floats = np.array([[*one, *other] for one, other in zip(ROOM, ROOM[1:] + ROOM[:1], strict=True)])
 START: Floats = np.array((*LAP[0], 0.0))
@@ -65,6 +65,42 @@ def test_wall_has_moved_with_its_corners(estimate: MapEstimate) -> None:
     assert abs(change.by_in) == pytest.approx(8.0, abs=0.8)
     np.testing.assert_allclose(found.world.walls, WALLS, atol=1.0)
     assert validate_world(found.world, 9.7) == []
+
+
+SURFACE = (SurfaceSpot(61.2, -1.0, 0.2),)
+
+
+def with_surfaces(walls: Floats) -> World:
+    """Return a world with a spot 1 in behind the middle of its first wall, and elsewhere of its second one."""
+    return replace(world_of(walls), accuracies={row: WallAccuracy(0.1, 0.0, 90.0, SURFACE) for row in (0, 1)})
+
+
+def test_surfaces_stay_on_walls_that_become_shorter(estimate: MapEstimate) -> None:
+    # In the map all is 2 % too large.
+    found = compare(with_surfaces(1.02 * WALLS), estimate, START, np.zeros(3))
+    assert found.scale == pytest.approx(1.0 / 1.02, abs=2e-3)
+    assert found.world.accuracies[0].surface[0] == pytest.approx((60.0, -1.0, 0.2), abs=0.2)
+
+
+def test_walls_that_moved_have_the_surface_of_the_drive(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # In the map the wall on the right is 8 in nearer; on the drive a spot is 1.5 in beside the middle of each wall.
+    before = np.where(WALLS == 120.0, 112.0, WALLS)
+
+    def with_spot(piece: Piece) -> Piece:
+        along = (piece.ends[1] - piece.ends[0]) / piece.length_in
+        middle = piece.ends.mean(axis=0) + 1.5 * np.array((-along[1], along[0]))
+        return replace(piece, surface=np.array([[*middle, 0.3]]))
+
+    pieces = [with_spot(piece) for piece in extract_walls(estimate)]
+    monkeypatch.setattr(update, "extract_walls", lambda _: pieces)
+    found = compare(with_surfaces(before), estimate, START, np.zeros(3))
+    assert [(change.kind, change.row) for change in found.changes] == [("moved", 1)]
+    kept, moved = (found.world.accuracies[row].surface[0] for row in (0, 1))
+    assert kept == pytest.approx(SURFACE[0])
+    off = abs(moved.x_in - found.world.walls[1, 0])
+    assert (off, moved.std_in) == pytest.approx((1.5, 0.3), abs=0.1)
 
 
 def test_wall_that_paths_cross_is_missing(estimate: MapEstimate) -> None:

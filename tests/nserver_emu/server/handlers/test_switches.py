@@ -28,7 +28,7 @@ from nserver_emu.simulation.noise import IDEAL, SETUPS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.io import format_world, load_world
 from worlds.world import Path as WayPoints
-from worlds.world import Polygon, StartPose, WallAccuracy, World
+from worlds.world import Polygon, StartPose, SurfaceSpot, WallAccuracy, World
 
 
 def sonars(client: WireClient) -> tuple[int, ...]:
@@ -286,14 +286,15 @@ def test_wall_that_becomes_longer_keeps_its_accuracy(to: list[list[float]], is_m
 @pytest.mark.parametrize("change", [{}, {"by": [5, 1]}])
 def test_undo_restores_the_accuracy_of_a_wall(change: dict[str, Any]) -> None:
     emulator = Emulator(simulation())
-    wall, measured = [[40, -9], [40, 9]], [0.1, 0.01, 15.0]
+    wall, surface = [[40, -9], [40, 9]], [SurfaceSpot(41.0, 2.0, 0.2)]
+    measured = [0.1, 0.01, 15.0, surface]
     rows = change_wall(emulator, {"put": wall, "accuracy": measured})["walls"]
     done = change_wall(emulator, {"wall": wall, **change})
     assert emulator.simulation.world.accuracies == {}
     # The reply of a change has what undoes it: "to" for a moved wall, "put" for a removed one.
     undo = {"wall": done["is"], "to": done["was"]} if change else {"put": done["was"]}
     change_wall(emulator, undo | {"accuracy": done["accuracy"]})
-    assert emulator.simulation.world.accuracies == {rows - 1: WallAccuracy(*measured)}
-    for wrong in ([0.1], [0.1, -1, 5], "abc"):
+    assert emulator.simulation.world.accuracies == {rows - 1: WallAccuracy(0.1, 0.01, 15.0, tuple(surface))}
+    for wrong in ([0.1], [0.1, -1, 5], "abc", [0.1, 0.1, 5, [[1, 2]]], [0.1, 0.1, 5, [[1, 2, -1]]]):
         with pytest.raises(ControlError, match="such as"):
             change_wall(emulator, {"put": [[60, -9], [60, 9]], "accuracy": wrong})
