@@ -554,18 +554,18 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     walls = estimate.state.walls
     is_back = sides_of(sensors.face, walls) * estimate.sides < 0.0
     residual[:, : len(walls)][is_back] = np.inf
-    if estimate.surface_in:
-        residual[:, : len(walls)][_are_of_ends(estimate, residual, spots)] = np.inf
     hidden = _hidden_points(estimate)
     row, pair = np.nonzero(hidden.hides(sensors.face, is_back, walls))
     residual[row, len(walls) + hidden.points[pair]] = np.inf
     echo, feature = np.nonzero(np.isfinite(residual))
     blocked = is_blocked(sensors.face[echo], spots[echo, feature], estimate.blocking, estimate.blocked_in)
     residual[echo[blocked], feature[blocked]] = np.inf
+    if estimate.surface_in:
+        residual[:, : len(walls)][_are_of_ends(estimate, residual, spots)] = np.inf
     # 2. The nearest, and nothing that is behind what echoes first unless that is farther off by FIRST_SIGMAS.
     sizes = np.abs(residual)
     if estimate.expects_first_echoes and not estimate.problem.rays:
-        echo, feature = echo[~blocked], feature[~blocked]
+        echo, feature = np.nonzero(np.isfinite(residual))
         is_behind = _are_behind(estimate, sensors, residual[echo, feature], spots[echo, feature], (echo, feature))
         sizes[echo[is_behind], feature[is_behind]] += FIRST_SIGMAS
     best = sizes.argmin(axis=1)

@@ -37,6 +37,7 @@ import numpy as np
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
+from localization.filters.surface import SPOT_STD_IN
 from localization.mapping.association import (
     LAG_NODES,
     MIN_THICKNESS_IN,
@@ -96,8 +97,8 @@ LAST_ROUNDS: Final = 3
 LAST_STEPS: Final = 10
 ROUGHNESS_IN: Final = 0.15
 """Deviation of smooth walls from a straight line, and random motion within a node."""
-LEVEL_ROUGHNESS_IN: Final = 0.4
-"""Deviation of the surface of a real wall from its levels: where one ends within a cell, the rest is an inch off."""
+LEVEL_ROUGHNESS_IN: Final = SPOT_STD_IN
+"""Deviation of the surface of a real wall from its levels."""
 
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0

@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.surface import SPOT_STD_IN
 from localization.mapping.association import (
     ALONE_SIGMAS,
     BLOCKED_IN,
@@ -308,11 +309,13 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
 def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
     """Return the straight lines (w, 2) that fit the surfaces of walls best, and their derivatives (w, 2, 2 + l).
 
-    A wall whose levels are f_0 + k t at the coordinate t, in the mean square over its cells, is the line
+    A wall whose levels are f_0 + k t at the coordinate t, in the weighted mean square over its cells, is the line
 
         angle' = angle - atan k,   offset' = (offset + f_0) cos(atan k)
 
-    of a plane the line itself. The derivatives are those by the wall's own angle and offset, and by all l levels.
+    of a plane the line itself. A cell weighs by what is known of it, 1 / (variance of its level + SPOT_STD_IN^2): one
+    that a single echo has measured, or none between two others, hardly turns the line. The derivatives are those by the
+    wall's own angle and offset, and by all l levels, with the weights as they are.
     """
     walls, levels = estimate.state.walls, estimate.state.levels
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
@@ -323,7 +326,10 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
         if not len(t):
             continue
         # 1. f_0 and k are linear in the levels; a single cell has no slope.
-        fit = np.linalg.pinv(np.stack((np.ones_like(t), t), axis=-1)) if len(t) > 1 else np.array(((1.0,), (0.0,)))
+        weight = 1.0 / np.sqrt(levels.var_in2[own] + SPOT_STD_IN**2)
+        terms = np.stack((np.ones_like(t), t), axis=-1)[:, : len(t)]
+        fit = np.zeros((2, len(t)))
+        fit[: terms.shape[1]] = np.linalg.pinv(weight[:, None] * terms) * weight
         f_0, k = fit @ levels.value_in[own]
         turn = -np.arctan(k)
         lines[number] = angle + turn, (offset + f_0) * np.cos(turn)

@@ -396,6 +396,8 @@ def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
 
 def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -> None:
     found = with_surface(estimate, 3)
+    variances = np.random.default_rng(5).uniform(0.0, 1.0, 16)
+    found.state = replace(found.state, levels=replace(found.state.levels, var_in2=variances))
     lines, _ = surface_lines(found)
     state = found.state
     for number, count in ((0, 15), (1, 1)):
@@ -403,7 +405,8 @@ def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -
         assert own.stop - own.start == count
         # In the frame of the wall, x along it: a polynomial fit, and the distance of its line from places.
         t, b = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5), state.levels.value_in[own]
-        slope, at_0 = np.polyfit(t, b, 1) if count > 1 else (0.0, b[0])
+        stds = np.sqrt(variances[own] + 0.4**2)
+        slope, at_0 = np.polyfit(t, b, 1, w=1.0 / stds) if count > 1 else (0.0, b[0])
         n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
         line_angle, line_offset = lines[number]
         for x in (-30.0, 0.0, 70.0):
