@@ -329,11 +329,8 @@ def find_wall_ends(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list[
 
 
 def walls_along(walls: Floats, span: Span) -> Indices:
-    """Return the numbers of the walls (w, 2) that lead from the one point of a span to the other, and not aslant."""
-    along = (span.ends[2:] - span.ends[:2]) / np.hypot(*(span.ends[2:] - span.ends[:2]))
-    directions = np.stack((-np.sin(walls[:, 0]), np.cos(walls[:, 0])), axis=-1)
-    is_along = np.abs(directions @ along) > MIN_SQUARE_COS
-    return np.flatnonzero(is_along & pass_through(walls, span.ends[None], POINT_ON_LINE_IN)[:, 0])
+    """Return the numbers of the walls (w, 2) that lead from the one point of a span to the other."""
+    return np.flatnonzero(pass_through(walls, span.ends[None], POINT_ON_LINE_IN)[:, 0])
 
 
 def _is_junction(estimate: MapEstimate, span: Span, parts: Floats) -> bool:
@@ -350,7 +347,9 @@ def _is_junction(estimate: MapEstimate, span: Span, parts: Floats) -> bool:
 
 
 def pass_through(walls: Floats, segments: Floats, within_in: float) -> Mask:
-    """Return True (w, s) for walls (w, 2) on whose lines both ends of a segment (s, 4) lie."""
+    """Return True (w, s) for walls (w, 2) along whose lines a segment (s, 4) lies: both ends, and not aslant."""
     c, s = np.cos(walls[:, 0])[:, None, None], np.sin(walls[:, 0])[:, None, None]
     off = c * segments[:, 0::2] + s * segments[:, 1::2] - walls[:, 1][:, None, None]
-    return np.asarray((np.abs(off) < within_in).all(axis=2), dtype=np.bool_)
+    span = segments[:, 2:] - segments[:, :2]
+    cosine = (c[..., 0] * span[:, 1] - s[..., 0] * span[:, 0]) / np.maximum(np.hypot(*span.T), 1e-9)
+    return np.asarray((np.abs(off) < within_in).all(axis=2) & (np.abs(cosine) > MIN_SQUARE_COS), dtype=np.bool_)

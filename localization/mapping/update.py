@@ -26,7 +26,7 @@ from localization.mapping.measurements import compose, rotate
 from localization.mapping.output import MapRefused, describe
 from localization.mapping.problem import robust_weight
 from localization.mapping.spans import MIN_CORNER_RAD
-from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths, surface_lines
+from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths
 from worlds.geometry import lengths, nearest_points
 from worlds.world import StartPose, WallAccuracy, World, moved_surface
 
@@ -177,7 +177,7 @@ def compare(world: World, estimate: MapEstimate, start: Floats, rest: Floats, tu
     if reason := own.reason_to_refuse():
         raise MapRefused(reason)
     pieces = extract_walls(estimate)
-    measured = np.array([_measured(estimate, piece) for piece in pieces])
+    measured = np.array([piece.measured_ends for piece in pieces])
     stds = np.array([piece.std_in for piece in pieces])
     first = estimate.state.poses[0]
     turn = float(wrap_angle(start[HEADING] - first[HEADING]))
@@ -214,13 +214,6 @@ def compare(world: World, estimate: MapEstimate, start: Floats, rest: Floats, tu
     return MapDifference(
         tuple(found.changes), tuple(found.unchanged), tuple(found.unseen), scale, fit.scale_std, pose, changed
     )
-
-
-def _measured(estimate: MapEstimate, piece: Piece) -> Floats:
-    """Return the outermost reflecting spots (2, 2) of a wall."""
-    angle, offset = surface_lines(estimate)[0][piece.line]
-    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-    return np.array((offset * normal + piece.low * along, offset * normal + piece.high * along))
 
 
 def _directions(ends: Floats) -> Floats:

@@ -104,7 +104,7 @@ class Piece:
     echoes
         Number of its echoes.
     std_in, std_rad
-        Standard deviations of its offset, at the middle, and of its angle.
+        Standard deviations of its offset, at the middle of the measured part, and of its angle.
     end_stds_in
         Standard deviation of each closed end along the wall; None for an open one, which lies beyond.
     spots
@@ -126,21 +126,36 @@ class Piece:
     surface: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     def placed(self, places: Callable[[Floats], Floats]) -> Piece:
-        """Return the wall in another frame, to which a function brings points (n, 2)."""
-        surface = np.column_stack((places(self.surface[:, :2]), self.surface[:, 2]))
-        return replace(self, ends=places(self.ends), surface=surface)
+        """Return the wall in another frame, to which a function turns and shifts points (n, 2)."""
+        found = replace(self, ends=places(self.ends), surface=self.surface.copy())
+        found.surface[:, :2] = places(self.surface[:, :2])
+        # Coordinates along the line are counted from the foot of the origin.
+        by_in = float(found.ends[0] @ found.along - self.ends[0] @ self.along)
+        found.low, found.high = self.low + by_in, self.high + by_in
+        found.spots = None if self.spots is None else (self.spots[0] + by_in, self.spots[1] + by_in)
+        return found
+
+    @property
+    def along(self) -> Floats:
+        """The direction (2,) from the first end to the second."""
+        direction: Floats = (self.ends[1] - self.ends[0]) / self.length_in
+        return direction
+
+    @property
+    def measured(self) -> tuple[float, float]:
+        """Coordinates along the line of the outermost reflecting spots; without any, of the points of a span."""
+        return self.spots or (self.low, self.high)
 
     @property
     def measured_in(self) -> float:
-        """Length from the first to the last reflecting spot, or between the points of a span, inches."""
-        return self.high - self.low
+        """Length of the measured part, inches."""
+        low, high = self.measured
+        return high - low
 
     @property
     def measured_ends(self) -> Floats:
-        """The outermost reflecting spots (2, 2): coordinates along the line are the same in a turned frame."""
-        along = (self.ends[1] - self.ends[0]) / self.length_in
-        coordinates = np.array(self.spots or (self.low, self.high))
-        spots: Floats = self.ends[0] + (coordinates - self.ends[0] @ along)[:, None] * along
+        """The ends (2, 2) of the measured part."""
+        spots: Floats = self.ends[0] + (np.array(self.measured) - self.ends[0] @ self.along)[:, None] * self.along
         return spots
 
     @property
@@ -654,8 +669,9 @@ def _is_outside(estimate: MapEstimate, piece: Piece, corners: Floats) -> bool:
 def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]) -> None:
     """Set the standard deviations of the pieces, of what remains after the best rigid fit of all.
 
-    The displacements of both ends of each piece across it, and of all points, are linear in the unknowns: d = A u. A
-    rigid motion moves them by N (x, y, turn). What remains after the best fit is (I - N F) d with the weighted fit
+    The displacements of both ends of each piece across it, as far as it was measured, and of all points, are linear in
+    the unknowns: d = A u. A rigid motion moves them by N (x, y, turn). What remains after the best fit is
+    (I - N F) d with the weighted fit
     F = (N' W N)^-1 N' W. The weights are those of what remains itself, or a single point whose standard deviation is a
     foot would move the whole map. Without the points the only wall across a corridor would be exact, since it alone
     would tell the position along it.
@@ -668,7 +684,7 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     A, N = np.zeros((rows, len(covariance))), np.zeros((rows, POSE))
     for number, piece in enumerate(pieces):
         line = lines[piece.line]
-        for end, coordinate in enumerate((piece.low, piece.high)):
+        for end, coordinate in enumerate(piece.measured):
             row, place = 2 * number + end, line.at(coordinate)
             # The end moves across the wall by d offset - coordinate * d angle.
             A[row, WALL * piece.line : WALL * piece.line + 2] = -coordinate, 1.0

@@ -448,6 +448,16 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(estimate: MapEstimate) 
         assert wall.accuracy.surface == tuple(SurfaceSpot(*spot) for spot in np.round(wall.surface, 3).tolist())
 
 
+def test_measured_part_of_a_wall_moves_with_it() -> None:
+    piece = walls.Piece(0, 12.0, 30.0, np.array(((10.0, 5.0), (34.0, 5.0))), [True, True], 9, spots=(15.0, 26.0))
+    np.testing.assert_allclose(piece.measured_ends, ((15.0, 5.0), (26.0, 5.0)))
+    assert piece.measured_in == 11.0
+    quarter, shift = np.array(((0.0, 1.0), (-1.0, 0.0))), np.array((100.0, -40.0))
+    moved = piece.placed(lambda points: np.asarray(points @ quarter + shift, dtype=np.float64))
+    np.testing.assert_allclose(moved.measured_ends, piece.measured_ends @ quarter + shift)
+    assert moved.high - moved.low == pytest.approx(18.0)
+
+
 def test_derivatives_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
     found, h = with_surface(estimate, 4), 1e-6
     walls_of, levels = found.state.walls, found.state.levels
