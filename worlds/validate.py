@@ -3,6 +3,7 @@
     gap         an end of a wall that stops just before another wall: sonars measure through, robots do not fit
     doubled     two parallel walls that overlap at almost no distance
     crumb       a wall too short for any sonar to measure
+    surface     measured spots that are not on their wall: it was moved without them
     start       a start where the robot does not fit
     closed off  space that the robot fits into and cannot reach from the starts
 
@@ -15,7 +16,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from worlds.geometry import BoolArray, FloatArray, IndexArray, candidate_pairs, lengths, nearest_points_of_pairs
+from worlds.geometry import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    candidate_pairs,
+    lengths,
+    nearest_points,
+    nearest_points_of_pairs,
+)
 from worlds.world import AT_ORIGIN, World
 
 TOUCHING_IN: Final = 1e-6
@@ -29,14 +38,15 @@ CELLS_PER_ROBOT: Final = 24.0
 class ValidationLimits:
     """Limits of `validate`.
 
-    In inches: widest gap; distance and overlap of doubled walls; longest short segment. In square inches: smallest
-    closed-off space.
+    In inches: widest gap; distance and overlap of doubled walls; longest short segment; farthest measured spot of a
+    surface from its wall. In square inches: smallest closed-off space.
     """
 
     gap_in: float = 4.0
     apart_in: float = 0.5
     overlap_in: float = 1.0
     short_segment_in: float = 0.5
+    spot_in: float = 12.0
     space_in2: float = 16.0
 
 
@@ -69,6 +79,7 @@ def validate_world(world: World, radius_in: float, limits: ValidationLimits | No
         *_gaps(world.fixed_walls, limits),
         *_doubled(world, limits),
         *_short_segments(world.walls, limits),
+        *_surfaces(world, limits),
         *_starts(world, radius_in),
         # Doors can be opened.
         *_closed_off(find_free_space(replace(world, doors=()), radius_in), limits),
@@ -222,6 +233,17 @@ def _short_segments(walls: FloatArray, limits: ValidationLimits) -> Iterator[Fin
         x, y = walls[number, :2]
         words = f"{_wall(walls, int(number))} is {float(lengths(walls[number])):.3g} in long"
         yield Finding("crumb", (float(x), float(y)), words)
+
+
+def _surfaces(world: World, limits: ValidationLimits) -> Iterator[Finding]:
+    for row, accuracy in sorted(world.accuracies.items()):
+        if not accuracy.surface:
+            continue
+        away = nearest_points([spot[:2] for spot in accuracy.surface], world.inner_walls[row : row + 1])[1][:, 0]
+        if (far := int((away > limits.spot_in).sum())) > 0:
+            words = f"{far} of {len(away)} measured spots are up to {away.max():.1f} in from their wall"
+            place = accuracy.surface[int(away.argmax())][:2]
+            yield Finding("surface", place, f"{words}: if it was moved, remove its surface_in from the file")
 
 
 def _starts(world: World, radius_in: float) -> Iterator[Finding]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from worlds.io import load_world, parse_world, world_names
 from worlds.validate import ValidationLimits, find_free_space, validate_world
-from worlds.world import Polygon, StartPose, World
+from worlds.world import Polygon, StartPose, SurfaceSpot, WallAccuracy, World
 
 pytestmark = pytest.mark.long
 
@@ -141,3 +143,13 @@ def test_missing_start_is_reported() -> None:
     assert output == [
         "no [[start]] is given, and (0, 0) lies outside of all rooms or in a wall; the robot's radius is 9 in"
     ]
+
+
+def test_spots_of_a_surface_that_are_not_on_their_wall_are_found() -> None:
+    """A wall moved by hand by 20 in, whose measured spots were left where they were."""
+    walls = np.array([[20.0, 30.0, 80.0, 30.0], [20.0, 70.0, 80.0, 70.0]])
+    surfaces = [tuple(SurfaceSpot(x, y, 0.1) for x in (30.0, 34.0, 38.0)) for y in (50.5, 71.5)]
+    accuracies = {row: WallAccuracy(0.1, 0.0, 40.0, surface) for row, surface in enumerate(surfaces)}
+    (found,) = validate_world(replace(room(), inner_walls=walls, accuracies=accuracies), RADIUS_IN)
+    assert (found.kind, found.place_in) == ("surface", (30.0, 50.5))
+    assert "3 of 3 measured spots are up to 20.5 in" in found.words
