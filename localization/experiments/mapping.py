@@ -8,10 +8,9 @@ A trial drives a robot along waypoints of a world, as a person would who sees th
     offset    distance between both at the middle of the learned one, after the best rigid fit of the walls (no scale)
     path      root mean square distance of the path from the true one, after the best rigid fit of the path
 
-With the setup *building* a wall of the world is a plane that nothing reflects at: its surface has levels. There the
-true wall is the straight line that fits the surface best, in the mean square, beside the measured parts of the learned
-line. No straight wall is nearer to what a sonar measures; the plane itself is half an inch from it in the median, and
-up to 3 in.
+With the setup *building* a wall of the world is a plane that nothing reflects at: its surface has levels, half an inch
+from it in the median, and up to 3 in. There the true wall is that plane, shifted to the mean of its surface beside the
+measured parts of the learned line, and the best rigid fit is that of the measured spots to the surfaces.
 
 The frame of a map is free, and so is the path in it: while the turret keeps its direction, a shift of the path is the
 same as offsets of the sonars by the cosine of their angles.
@@ -128,6 +127,7 @@ RADIUS_IN: Final = 2.0
 MAX_BEARING_RAD: Final = 0.5
 FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
 FIT_STEPS: Final = 5
+FIT_SPOT_IN: Final = 0.5
 FIT_IN, FIT_RAD = 3.0, radians(10.0)
 """A learned wall is fitted to a true one this near to it."""
 SAMPLE_IN: Final = 1.0
@@ -416,6 +416,46 @@ def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[fl
     return turn, shift
 
 
+def surface_fit(spots: Floats, walls: Floats, surfaces: Surfaces, turn: float, shift: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) that bring learned spots nearest to the surfaces of the walls, across these.
+
+    By iteratively reweighted least squares, since some spots are of no wall: with the weights of residuals that have a
+    Cauchy distribution of FIT_SPOT_IN.
+
+    Parameters
+    ----------
+    spots
+        (k, 2) in the frame of the map.
+    walls, surfaces
+        (m, 4) true walls, and their surfaces.
+    turn, shift
+        Where to begin: the fit of the path.
+    """
+    along = (walls[:, 2:] - walls[:, :2]) / lengths(walls)[:, None]
+    left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    for _ in range(FIT_STEPS):
+        # 1. How far each spot is from the surface of the nearest wall that it is beside, and the normal there.
+        placed = measurements.rotate(spots, np.full(len(spots), turn)) + shift
+        off = placed[:, None] - walls[:, :2]
+        at, beside = (off * along).sum(axis=-1), (off * left).sum(axis=-1)
+        levels = np.stack([
+            surfaces.of(wall).level_in(np.clip(of_wall, 0.0, lengths(wall)))
+            for wall, of_wall in zip(walls, at.T, strict=True)
+        ], axis=-1)  # fmt: skip
+        residual = np.where((at > 0.0) & (at < lengths(walls)), beside - levels, np.inf)
+        row = np.abs(residual).argmin(axis=1)
+        distance, normal = residual[np.arange(len(spots)), row], left[row]
+        known = np.isfinite(distance)
+        # 2. Their derivatives by the turn about the origin of the map, and by the shift.
+        turned = placed - shift
+        by_turn = normal[:, 1] * turned[:, 0] - normal[:, 0] * turned[:, 1]
+        weight = 1.0 / np.sqrt(1.0 + np.square(distance[known] / FIT_SPOT_IN))
+        jacobian = np.column_stack((by_turn, normal))[known] * weight[:, None]
+        change = np.linalg.lstsq(jacobian, -distance[known] * weight, rcond=1e-3)[0]
+        turn, shift = turn + float(change[0]), shift + change[1:]
+    return turn, shift
+
+
 def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
     """Return points (k, 2) on each wall, SAMPLE_IN apart, that are in sight from some position of a path (n, 2)."""
     found = []
@@ -434,7 +474,7 @@ def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
 
 
 def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Floats:
-    """Return walls (m, 4) as the lines that fit their surfaces best beside parts (k, 2, 2) of a learned line."""
+    """Return walls (m, 4), each shifted to the mean level of its surface beside parts (k, 2, 2) of a learned line."""
     if surfaces is None:
         return walls
     found = []
@@ -445,9 +485,8 @@ def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Flo
         spans = np.sort((parts - wall[:2]) @ along, axis=1)
         beside = at[((at[:, None] > spans[:, 0]) & (at[:, None] < spans[:, 1])).any(axis=1)]
         at = beside if len(beside) * SAMPLE_IN >= MIN_BESIDE_IN else at
-        slope, level_in = np.polyfit(at, surfaces.of(wall).level_in(at), 1)
         left = np.array((-along[1], along[0]))
-        found.append(np.concatenate((wall[:2] + level_in * left, wall[2:] + (level_in + slope * length) * left)))
+        found.append(wall + np.tile(float(surfaces.of(wall).level_in(at).mean()) * left, 2))
     return np.array(found)
 
 
@@ -537,11 +576,10 @@ def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
 def _fit_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
     turn, shift = measurements.rigid_fit(found.path[:, :2], true_path)
-    ends = np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2)
-    # Which parts of the surfaces are beside the learned walls depends a little on where these are.
-    for _ in range(1 if surfaces is None else 2):
-        turn, shift = map_fit(ends, _lines_of(found, walls, surfaces, turn, shift), turn, shift)
-    return turn, shift
+    if surfaces is not None:
+        spots = np.concatenate([np.empty((0, 3)), *(wall.surface for wall in found.walls)])[:, :2]
+        return surface_fit(spots, walls, surfaces, turn, shift)
+    return map_fit(np.array([wall.ends for wall in found.walls]).reshape(-1, 2, 2), walls, turn, shift)
 
 
 def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn: float, shift: Floats) -> Floats:

@@ -73,6 +73,7 @@ from localization.mapping.spans import (
     MAX_SPAN_IN,
     MIN_CORNER_RAD,
     Span,
+    cut_corners,
     find_wall_ends,
     pass_through,
     uncrossed_spans,
@@ -216,6 +217,7 @@ class MapLearner:
             merge(self.estimate)
             prune(self.estimate)
         drop_hidden(self.estimate)
+        drop_corner_cuts(self.estimate)
         tie_points(self.estimate)
         # With the weights of its ranges and first echoes, and without those that the map then explains no more.
         self.estimate.expects_first_echoes = True
@@ -535,6 +537,16 @@ def drop_hidden(estimate: MapEstimate) -> int:
             estimate.replace_by(without)
             dropped += 1
     return dropped
+
+
+def drop_corner_cuts(estimate: MapEstimate) -> int:
+    """Remove walls with levels that lead from one wall to another across their corner; return their number."""
+    numbers = np.flatnonzero(cut_corners(estimate, segments_of(estimate.state.walls, estimate.extents)))
+    for number in reversed(numbers.tolist()):
+        estimate.remove(number)
+    if len(numbers):
+        estimate.associate()
+    return len(numbers)
 
 
 def drop_unmeasured(estimate: MapEstimate) -> int:

@@ -151,7 +151,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     # 1. Paths that have passed.
     is_uncrossed = _count_crossings(paths, ends, along) < MIN_CROSSINGS
     is_uncrossed &= ~_are_diagonals(ends, ones, others, is_uncrossed, lengths)
-    is_uncrossed &= ~_cut_corners(estimate, ends)
+    is_uncrossed &= ~cut_corners(estimate, ends)
     closes = _closing(estimate, ends, ones, others, is_uncrossed)
     # 2. Sonars that should have measured it, or what is behind.
     echoes, found = estimate.echoes(), list[Span]()
@@ -223,24 +223,31 @@ def _are_alone(estimate: MapEstimate, echoes: Indices) -> Mask:
     return np.asarray((of_points > ALONE_SIGMAS).all(axis=1), dtype=np.bool_)
 
 
-def _cut_corners(estimate: MapEstimate, ends: Floats) -> Mask:
-    """Return True (s,) for spans (s, 4) from one wall to another across their corner, nearer to it than surfaces vary.
+def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
+    """Return True (s,) for segments (s, 4) from one wall to another across their corner, nearer than surfaces vary.
 
-    Posts of both walls are seen between which no sound passes: behind is the corner.
+    Both walls are longer. Posts of both are seen between which no sound passes, since behind is the corner; and echoes
+    of the corner itself, which is where the levels of both walls meet, move with the feet of the walls.
     """
-    if not estimate.surface_in:
-        return np.zeros(len(ends), dtype=np.bool_)
-    walls = estimate.state.walls
+    found = np.zeros(len(segments), dtype=np.bool_)
+    if not estimate.surface_in or not len(segments):
+        return found
+    walls, sizes = estimate.state.walls, estimate.extents[:, 1] - estimate.extents[:, 0]
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    span = segments[:, 2:] - segments[:, :2]
+    lengths = np.maximum(np.hypot(*span.T), 1e-9)
+    along = span / lengths[:, None]
+    # 1. Walls that each segment begins at and ends at, at an angle to it.
+    meets = (np.abs(along @ normals.T) > np.sin(MIN_CORNER_RAD)) & (sizes > lengths[:, None])
     first, second = (
-        np.abs(along_and_across(places, walls)[1]) < estimate.surface_in for places in (ends[:, :2], ends[:, 2:])
+        meets & (np.abs(along_and_across(places, walls)[1]) < estimate.surface_in)
+        for places in (segments[:, :2], segments[:, 2:])
     )
+    # 2. The corners of these walls.
     crosses = np.abs(np.sin(walls[:, :1] - walls[:, 0])) > np.sin(MIN_CORNER_RAD)
-    along = (ends[:, 2:] - ends[:, :2]) / np.hypot(*(ends[:, 2:] - ends[:, :2]).T)[:, None]
-    found = np.zeros(len(ends), dtype=np.bool_)
     for one, other in np.argwhere(crosses):
         corner = np.linalg.solve(normals[[one, other]], walls[[one, other], 1])
-        off, away = corner - ends[:, :2], corner - ends[:, 2:]
+        off, away = corner - segments[:, :2], corner - segments[:, 2:]
         depth_in = np.abs(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
         # A wall that ends in the corner is none across it.
         is_across = np.minimum(np.hypot(*off.T), np.hypot(*away.T)) > estimate.surface_in

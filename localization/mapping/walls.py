@@ -322,38 +322,26 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
 
 
 def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
-    """Return the straight lines (w, 2) that fit the surfaces of walls best, and their derivatives (w, 2, 2 + l).
+    """Return the lines (w, 2) of walls through their surfaces, and their derivatives (w, 2, 2 + l).
 
-    A wall whose levels are f_0 + k t at the coordinate t, in the weighted mean square over its cells, is the line
+    A wall with levels b_c keeps its direction, and its line is shifted to the mean of its levels:
 
-        angle' = angle - atan k,   offset' = (offset + f_0) cos(atan k)
+        angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c),   w_c = 1 / (var(b_c) + SPOT_STD_IN^2)
 
-    of a plane the line itself. A cell weighs by what is known of it, 1 / (variance of its level + SPOT_STD_IN^2): one
-    that a single echo has measured, or none between two others, hardly turns the line. The derivatives are those by the
-    wall's own angle and offset, and by all l levels, with the weights as they are.
+    A cell weighs by what is known of it: one that a single echo has measured, or none between two others, hardly moves
+    the line. The straight line that fits the levels best would be slanted where a door stands back at one end, by
+    degrees, and all walls beside it would not meet at right angles. The derivatives are those by the wall's own angle
+    and offset, and by all l levels, with the weights as they are; of a plane those of the line itself.
     """
     walls, levels = estimate.state.walls, estimate.state.levels
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
     by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
-    for number, (angle, offset) in enumerate(walls):
+    for number in np.unique(levels.wall).tolist():
         own = levels.of(number)
-        t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
-        if not len(t):
-            continue
-        # 1. f_0 and k are linear in the levels; a single cell has no slope.
-        weight = 1.0 / np.sqrt(levels.var_in2[own] + SPOT_STD_IN**2)
-        terms = np.stack((np.ones_like(t), t), axis=-1)[:, : len(t)]
-        fit = np.zeros((2, len(t)))
-        fit[: terms.shape[1]] = np.linalg.pinv(weight[:, None] * terms) * weight
-        f_0, k = fit @ levels.value_in[own]
-        turn = -np.arctan(k)
-        lines[number] = angle + turn, (offset + f_0) * np.cos(turn)
-        # 2. Derivatives.
-        by_k = -1.0 / (1.0 + k * k)
-        columns = slice(WALL + own.start, WALL + own.stop)
-        by_unknowns[number, 0, columns] = by_k * fit[1]
-        by_unknowns[number, 1, columns] = np.cos(turn) * fit[0] - (offset + f_0) * np.sin(turn) * by_k * fit[1]
-        by_unknowns[number, 1, 1] = np.cos(turn)
+        weight = 1.0 / (levels.var_in2[own] + SPOT_STD_IN**2)
+        weight /= weight.sum()
+        lines[number, 1] += weight @ levels.value_in[own]
+        by_unknowns[number, 1, WALL + own.start : WALL + own.stop] = weight
     return lines, by_unknowns
 
 

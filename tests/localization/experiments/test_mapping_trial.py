@@ -21,6 +21,7 @@ from localization.experiments.mapping import (
     map_fit,
     read_scores,
     score,
+    surface_fit,
     table,
     visible_samples,
 )
@@ -217,19 +218,33 @@ def test_true_wall_of_a_surface_is_its_best_straight_line() -> None:
     walls, surfaces = load_world("thesis_room").walls, trial.surfaces
     assert surfaces is not None
     assert lines_beside(walls, None, np.zeros((1, 2, 2))) is walls
-    # Beside a part of the wall at the bottom, from x = 20 to 80: by the normal equations, 10 places to an inch.
+    # Beside a part of the wall at the bottom, from x = 20 to 80: the mean of its surface there, 10 places to an inch.
     lines = lines_beside(walls, surfaces, np.array([[[80.0, -9.0], [20.0, -9.0]]]))
     low = int(np.argmin(walls[:, 1] + walls[:, 3]))
-    x1, y1, x2, _ = walls[low]
+    x1, y1, x2, y2 = walls[low]
     x = np.arange(20.05, 80.0, 0.1)
-    level = surfaces.of(walls[low]).level_in(np.abs(x - x1))
-    sign = np.sign(x2 - x1)  # to the left of the wall
-    (at_0, slope), *_ = np.linalg.lstsq(np.stack((np.ones_like(x), x), axis=-1), y1 + sign * level, rcond=None)
-    along = np.linspace(lines[low, :2], lines[low, 2:], 100)
-    along = along[(along[:, 0] > 20.0) & (along[:, 0] < 80.0)]
-    np.testing.assert_allclose(along[:, 1], at_0 + slope * along[:, 0], atol=0.1)
+    level = float(surfaces.of(walls[low]).level_in(np.abs(x - x1)).mean()) * np.sign(x2 - x1)  # to the left of the wall
+    np.testing.assert_allclose(lines[low], (x1, y1 + level, x2, y2 + level), atol=0.1)
     # The plane is no such line.
     assert np.abs(lines[low] - walls[low]).max() > 0.2
+
+
+def test_learned_spots_are_fitted_to_the_surfaces() -> None:
+    """Oracle: spots of the true surfaces, in a frame turned and shifted by known numbers; one of six is of no wall."""
+    walls, surfaces = load_world("several_walls").walls, Trial("several_walls", "building", 3).surfaces
+    assert surfaces is not None
+    spots = []
+    for wall in walls:
+        along = (wall[2:] - wall[:2]) / lengths(wall)
+        at = np.arange(2.0, float(lengths(wall)) - 2.0, 4.0)
+        level = surfaces.of(wall).level_in(at)
+        level[::6] += 4.0
+        spots.append(wall[:2] + at[:, None] * along + level[:, None] * np.array((-along[1], along[0])))
+    placed, turn, shift = np.concatenate(spots), 0.3, np.array((5.0, -3.0))
+    of_map = rotate(placed - shift, np.full(len(placed), -turn))
+    found_turn, found_shift = surface_fit(of_map, walls, surfaces, turn + 0.01, shift + 0.7)
+    assert found_turn == pytest.approx(turn, abs=1e-3)
+    np.testing.assert_allclose(found_shift, shift, atol=0.05)
 
 
 @pytest.mark.long

@@ -14,7 +14,15 @@ from localization.filters.belief import Floats
 from localization.mapping import association, learn, output, spans, walls
 from localization.mapping.association import MapEstimate, residual_matrix
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import close_wall_ends, find_undecided, join_points, prune, split_surfaces, swallow
+from localization.mapping.learn import (
+    close_wall_ends,
+    drop_corner_cuts,
+    find_undecided,
+    join_points,
+    prune,
+    split_surfaces,
+    swallow,
+)
 from localization.mapping.measurements import rotate
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
@@ -394,25 +402,18 @@ def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
     return found
 
 
-def test_line_of_a_surface_is_the_best_fit_of_its_cells(estimate: MapEstimate) -> None:
+def test_line_of_a_surface_has_the_mean_level_of_its_cells(estimate: MapEstimate) -> None:
+    """Oracle: numpy's weighted average, and the distances of the levels from a wall in the same direction."""
     found = with_surface(estimate, 3)
     variances = np.random.default_rng(5).uniform(0.0, 1.0, 16)
     found.state = replace(found.state, levels=replace(found.state.levels, var_in2=variances))
     lines, _ = surface_lines(found)
     state = found.state
     for number, count in ((0, 15), (1, 1)):
-        (angle, offset), own = state.walls[number], state.levels.of(number)
+        own = state.levels.of(number)
         assert own.stop - own.start == count
-        # In the frame of the wall, x along it: a polynomial fit, and the distance of its line from places.
-        t, b = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5), state.levels.value_in[own]
-        stds = np.sqrt(variances[own] + 0.4**2)
-        slope, at_0 = np.polyfit(t, b, 1, w=1.0 / stds) if count > 1 else (0.0, b[0])
-        n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-        line_angle, line_offset = lines[number]
-        for x in (-30.0, 0.0, 70.0):
-            place = n * (offset + at_0 + slope * x) + u * x
-            off = place @ (np.cos(line_angle), np.sin(line_angle)) - line_offset
-            assert off == pytest.approx(0.0, abs=1e-9)
+        mean = np.average(state.levels.value_in[own], weights=1.0 / (variances[own] + 0.4**2))
+        assert lines[number] == pytest.approx(state.walls[number] + (0.0, mean))
     np.testing.assert_array_equal(lines[2:], state.walls[2:])
 
 
@@ -532,10 +533,20 @@ def test_posts_of_both_walls_of_a_corner_are_no_wall(
 ) -> None:
     ends = np.array([(-25.0, west_y_in, south_x_in, -25.0)])
     found = with_levels(estimate)
-    assert spans._cut_corners(found, ends).tolist() == [cuts]
+    assert spans.cut_corners(found, ends).tolist() == [cuts]
     # A wall that ends in the corner is none across it, and planes have no posts.
-    assert not spans._cut_corners(found, np.array([(-25.0, west_y_in, -25.0, -25.0)])).any()
-    assert not spans._cut_corners(estimate, ends).any()
+    assert not spans.cut_corners(found, np.array([(-25.0, west_y_in, -25.0, -25.0)])).any()
+    assert not spans.cut_corners(estimate, ends).any()
+    # Such a wall is dropped; and none that is as long as the walls of the corner, or where walls are planes.
+    (x1, y1, x2, y2), = ends
+    angle = float(np.arctan2(x1 - x2, y2 - y1))
+    line = np.array((angle, x1 * np.cos(angle) + y1 * np.sin(angle)))
+    extent = np.sort(ends.reshape(2, 2) @ np.array((-np.sin(angle), np.cos(angle))))
+    for made, drops in ((with_levels(estimate), cuts), (estimate.copy(), False)):
+        count = len(made.state.walls)
+        made.add_wall(line, extent)
+        assert drop_corner_cuts(made) == int(drops)
+        assert len(made.state.walls) == count + int(not drops)
 
 
 def test_a_path_along_a_span_does_not_open_it(opened: MapEstimate) -> None:
