@@ -126,6 +126,8 @@ MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
 """Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
 HIDDEN_FRACTION: Final = 0.5
 """Of a wall's echoes; the false ones in the corner of a wedge had 0.9."""
+NICHE_IN: Final = 12.0
+"""Doors and windows stand back less from their wall."""
 MIN_DETERMINED: Final = 2
 """Ranges and ties that determine the two unknowns of a feature."""
 MIN_JOIN_ECHOES: Final = 4
@@ -518,7 +520,8 @@ def drop_hidden(estimate: MapEstimate) -> int:
 
     Sound that is reflected twice in a corner comes late, as if from beyond it. Where nothing else was measured beyond,
     the other walls reach as far as the corner. What is open at both ends is also dropped if its echoes alone pass
-    through the gap of a wall: sound between that wall and a box before it comes late.
+    through the gap of a wall, and it is no door that stands back: sound between that wall and a box before it comes
+    late.
     """
     dropped = 0
     for wall in reversed(range(len(estimate.state.walls))):
@@ -529,9 +532,9 @@ def drop_hidden(estimate: MapEstimate) -> int:
         without.remove(wall)
         pieces = extract_walls(without, with_accuracy=False)
         others = np.array([piece.ends.reshape(4) for piece in pieces]).reshape(-1, 4)
-        if not any(any(piece.closed) for piece in own):
-            others = np.concatenate((others, unpassed_gaps(without, pieces)))
         blocked = is_blocked(sensors.face, spots[:, wall], others, estimate.blocked_in)
+        if not any(any(piece.closed) for piece in own):
+            blocked |= is_blocked(sensors.face, spots[:, wall], unpassed_gaps(without, pieces), NICHE_IN)
         if len(echoes) and blocked.mean() > HIDDEN_FRACTION:
             without.associate()
             estimate.replace_by(without)

@@ -235,14 +235,14 @@ def test_wall_behind_which_something_was_measured_is_passed(estimate: MapEstimat
     assert passed_walls(estimate, [behind]) == []
 
 
-@pytest.mark.parametrize(("others", "dropped"), [(0, 1), (1, 1), (2, 0)])
+@pytest.mark.parametrize(("others", "behind_in", "dropped"), [(0, 50.0, 1), (1, 50.0, 1), (2, 50.0, 0), (0, 8.0, 0)])
 def test_what_is_seen_through_an_unmeasured_part_of_a_wall_alone_is_none(
-    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, others: int, dropped: int
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, others: int, behind_in: float, dropped: int
 ) -> None:
     found = estimate.copy()
     south = int(np.argmax(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0)[:, 0]))
-    # A wall 50 in behind the one at y = -25, and nothing of that from x = 15 to 45.
-    found.add_wall(np.array((-0.5 * np.pi, 75.0)), np.array((15.0, 45.0)))
+    # A wall behind the one at y = -25, and nothing of that from x = 15 to 45. One 8 in behind is a door.
+    found.add_wall(np.array((-0.5 * np.pi, 25.0 + behind_in)), np.array((15.0, 45.0)))
     echoes = estimate.echoes_of(south)
     x = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)[2][:, south, 0]
     feature = found.assignment.feature.copy()
