@@ -4,8 +4,8 @@
         extend by odometry --> headings after turns --> associate --> optimize
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
-        join what was not recognized; births from all echoes; part, join, merge, split, swallow, absorb, prune; tie
-        points to walls; optimize
+        join what was not recognized; births from all echoes; part, join, merge, split, swallow, absorb, square, prune;
+        tie points to walls; optimize
     once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
 
 Revision makes the map as simple as its echoes allow. Each change is tried, optimized and reverted unless the total
@@ -18,6 +18,7 @@ cost, with a penalty for each feature, falls:
     swallow  a short wall becomes a point where the total cost falls
     join     two points become the ends of a wall where the total cost falls
     absorb   a point on a wall becomes part of it where the total cost falls
+    square   a wall with levels turns to the axes of the building where the total cost falls
     tie      points near a wall's line are corners or ends of it
 
 References
@@ -59,9 +60,11 @@ from localization.mapping.consistency import late_scores
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE, close_loops, find_births
 from localization.mapping.measurements import DriveLog, Indices, build_trajectory, relative_pose
 from localization.mapping.problem import (
+    LEVEL_CELL_IN,
     NO_FEATURE,
     PARAMETER_STDS,
     PLANES,
+    RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     WALL,
     Levels,
@@ -101,6 +104,8 @@ ROUGHNESS_IN: Final = 0.15
 LEVEL_ROUGHNESS_IN: Final = SPOT_STD_IN
 """Deviation of the surface of a real wall from its levels."""
 
+MAX_TURN_RAD: Final = radians(15.0)
+"""A wall that is off the axes by more is meant to be."""
 MERGE_RAD: Final = radians(20.0)
 MERGE_IN: Final = 8.0
 """Walls that differ by less may be the same wall."""
@@ -218,6 +223,7 @@ class MapLearner:
             self.estimate.optimize()
             merge(self.estimate)
             prune(self.estimate)
+        square(self.estimate)
         drop_hidden(self.estimate)
         drop_corner_cuts(self.estimate)
         tie_points(self.estimate)
@@ -254,7 +260,7 @@ def revise(estimate: MapEstimate) -> int:
     changed = find_births(estimate, 0)
     estimate.associate()
     estimate.optimize()
-    for change in (part_points, part_late_points, join_points, merge, split, swallow, absorb_points, prune):
+    for change in (part_points, part_late_points, join_points, merge, split, swallow, absorb_points, square, prune):
         changed += change(estimate)
     tie_points(estimate)
     estimate.optimize()
@@ -627,6 +633,43 @@ def absorb_points(estimate: MapEstimate) -> int:
                 absorbed += 1
                 break
     return absorbed
+
+
+def square(estimate: MapEstimate) -> int:
+    """Turn walls with levels to the axes of the building where the total cost falls, and return their number.
+
+    What is off by more than its robust limit is hardly pulled to a right angle, and levels make up for the slope.
+    """
+    turned = 0
+    for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
+        off = estimate.problem.angle_residuals(estimate.state, estimate.assignment)[0] * RIGHT_ANGLE_STD_RAD
+        if not len(off) or not ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD < abs(off[wall]) < MAX_TURN_RAD:
+            continue
+        trial = _turned_wall(estimate, wall, -float(off[wall]))
+        for _ in range(2):
+            trial.optimize(JOIN_STEPS)
+            trial.associate()
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            turned += 1
+    return turned
+
+
+def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:
+    """Return the map with a wall turned about its middle, and its surface where it was."""
+    trial, levels = estimate.copy(), estimate.state.levels
+    own, walls = levels.of(wall), estimate.state.walls.copy()
+    middle = segments_of(walls, estimate.extents)[wall].reshape(2, 2).mean(axis=0)
+    # 1. The spots of the surface, beside the line as it was.
+    (angle, offset), t = walls[wall], LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    places = (offset + levels.value_in[own])[:, None] * normal + t[:, None] * np.array((-normal[1], normal[0]))
+    # 2. Beside the turned line.
+    normal = np.array((np.cos(angle + by_rad), np.sin(angle + by_rad)))
+    walls[wall], values = (angle + by_rad, normal @ middle), levels.value_in.copy()
+    values[own] = places @ normal - walls[wall, 1]
+    trial.state = replace(estimate.state, walls=walls, levels=replace(levels, value_in=values))
+    return trial
 
 
 def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.filters.belief import Floats
+from localization.filters.belief import Floats, wrap_angle
 from localization.mapping import association, learn, output, spans, walls
 from localization.mapping.association import MapEstimate, residual_matrix
 from localization.mapping.explore import _span_places
@@ -558,6 +558,29 @@ def test_a_path_along_a_span_does_not_open_it(opened: MapEstimate) -> None:
     assert {4, 5} in pairs(*along)
     steep = ((40.0, -20.0), (40.0, -21.0)), ((14.0, -28.0), (14.0, -29.0))
     assert {4, 5} not in pairs(*steep)
+
+
+@pytest.mark.parametrize(("turn_deg", "turned"), [(4.0, 1), (0.5, 0), (20.0, 0)])
+def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
+    estimate: MapEstimate, turn_deg: float, turned: int
+) -> None:
+    """A wall of a square room, turned with levels that make up for it; 0.5 degrees are left to the optimizer."""
+    found = with_levels(estimate)
+    found.optimize(3)
+    slanted = learn._turned_wall(found, 1, radians(turn_deg))
+    # The surface stays where it is: as far from the turned line as its levels say.
+    own = slanted.state.levels.of(1)
+    (angle, offset), (turned_rad, turned_offset) = found.state.walls[1], slanted.state.walls[1]
+    t = LEVEL_CELL_IN * (found.state.levels.cell[own] + 0.5)
+    n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    places = (offset + found.state.levels.value_in[own])[:, None] * n + t[:, None] * u
+    off_line = places @ (np.cos(turned_rad), np.sin(turned_rad)) - turned_offset
+    np.testing.assert_allclose(slanted.state.levels.value_in[own], off_line)
+    assert learn.square(slanted) == turned
+    off = np.degrees(wrap_angle(4.0 * (slanted.state.walls[1, 0] - slanted.state.walls[0, 0])) / 4.0)
+    assert (abs(off) < 0.5) == (turned == 1 or turn_deg < 1.0)
+    # Planes have no levels that could make up for it.
+    assert learn.square(estimate) == 0
 
 
 def test_posts_stay_on_a_wall_with_levels(opened: MapEstimate) -> None:
