@@ -25,7 +25,8 @@ as any smooth surface does. Random readings do not, and are left out.
 
 Neighbouring echoes of a feature err alike, by rounding and by the wall's surface. With the correlation rho of
 neighbours n squares vary as n (1 - rho^2) / (1 + rho^2) independent ones do. No correlation is accepted beyond that of
-the errors that can repeat, as a wrong map's residuals are correlated as well.
+the errors that can repeat, as a wrong map's residuals are correlated as well. Where walls have levels a corner is
+where those of both meet, and moves with the feet of the walls: the squares of points count for POINT_WEIGHT.
 
 References
 ----------
@@ -43,7 +44,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, chi_square_quantile, wrap_angle
-from localization.mapping.association import MapEstimate, Mask, segments_of
+from localization.mapping.association import POINT_WEIGHT, MapEstimate, Mask, segments_of
 from localization.mapping.measurements import Indices, Trajectory, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, WALL, Assignment, MapProblem, MapState
 from localization.mapping.solver import NormalEquations
@@ -109,6 +110,9 @@ def check_parts(estimate: MapEstimate) -> list[Part]:
     # 2. Echoes of each feature, in time.
     feature = estimate.assignment.feature[linear.echoes]
     groups = [np.flatnonzero(feature == number) for number in range(state.features)]
+    if estimate.surface_in:
+        # What a point's ranges count for: where walls have levels its variance is as much greater.
+        ranges[feature >= len(state.walls)] *= POINT_WEIGHT
     rho = _correlation(linear.residuals[:, 0], groups)
     effective = (1.0 - rho * rho) / (1.0 + rho * rho)
     # 3. The sums.

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate
+from localization.mapping.association import POINT_WEIGHT, MapEstimate
 from localization.mapping.consistency import (
     LATE_STD_IN,
     RETURN_RISK,
@@ -30,7 +30,7 @@ from localization.mapping.consistency import (
 from localization.mapping.learn import find_undecided, learn_map
 from localization.mapping.measurements import Indices, build_trajectory
 from localization.mapping.output import describe
-from localization.mapping.problem import NO_FEATURE, MapProblem
+from localization.mapping.problem import NO_FEATURE, MapProblem, Reflection
 from tests.localization.mapping.drives import drive
 from tests.localization.mapping.test_problem import dense, difference_jacobian, perturbed, trajectory
 
@@ -96,6 +96,20 @@ def test_part_that_contradicts_refuses_the_map(estimate: MapEstimate) -> None:
     assert bad.quality.parts[0].excess < 1.0
     assert bad.quality.worst.kind == "wall"
     assert "of the wall at" in bad.reason_to_refuse()
+
+
+def test_points_count_for_less_where_walls_have_levels(estimate: MapEstimate) -> None:
+    """A corner is where the levels of both walls meet: its ranges have five times the variance."""
+    rng = np.random.default_rng(4)
+    planes = with_residuals(estimate, rng.normal(size=len(estimate.assignment.feature)))
+    sonars = len(estimate.state.parameters) - 4
+    surfaces = Reflection(surface_std_in=1.75)
+    levels = replace(planes, problem=MapProblem(planes.problem.trajectory, sonars, reflection=surfaces))
+    for before, after in zip(check_parts(planes)[1:], check_parts(levels)[1:], strict=True):
+        assert after.kind == before.kind
+        assert after.freedom == pytest.approx(before.freedom)
+        factor = POINT_WEIGHT if after.kind == "point" else 1.0
+        assert after.total == pytest.approx(factor * before.total)
 
 
 def test_map_that_contradicts_is_not_relied_on_whatever_it_costs(estimate: MapEstimate) -> None:
