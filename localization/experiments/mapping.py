@@ -445,13 +445,13 @@ def surface_fit(spots: Floats, walls: Floats, surfaces: Surfaces, turn: float, s
         residual = np.where((at > 0.0) & (at < lengths(walls)), beside - levels, np.inf)
         row = np.abs(residual).argmin(axis=1)
         distance, normal = residual[np.arange(len(spots)), row], left[row]
-        known = np.isfinite(distance)
+        is_beside = np.isfinite(distance)
         # 2. Their derivatives by the turn about the origin of the map, and by the shift.
         turned = placed - shift
         by_turn = normal[:, 1] * turned[:, 0] - normal[:, 0] * turned[:, 1]
-        weight = 1.0 / np.sqrt(1.0 + np.square(distance[known] / FIT_SPOT_IN))
-        jacobian = np.column_stack((by_turn, normal))[known] * weight[:, None]
-        change = np.linalg.lstsq(jacobian, -distance[known] * weight, rcond=1e-3)[0]
+        weight = 1.0 / np.sqrt(1.0 + np.square(distance[is_beside] / FIT_SPOT_IN))
+        jacobian = np.column_stack((by_turn, normal))[is_beside] * weight[:, None]
+        change = np.linalg.lstsq(jacobian, -distance[is_beside] * weight, rcond=1e-3)[0]
         turn, shift = turn + float(change[0]), shift + change[1:]
     return turn, shift
 
