@@ -22,8 +22,8 @@ from worlds.geometry import (
     IndexArray,
     candidate_pairs,
     lengths,
-    nearest_points,
     nearest_points_of_pairs,
+    normals,
 )
 from worlds.world import AT_ORIGIN, World
 
@@ -239,7 +239,9 @@ def _surfaces(world: World, limits: ValidationLimits) -> Iterator[Finding]:
     for row, accuracy in sorted(world.accuracies.items()):
         if not accuracy.surface:
             continue
-        away = nearest_points([spot[:2] for spot in accuracy.surface], world.inner_walls[row : row + 1])[1][:, 0]
+        wall = world.inner_walls[row : row + 1]
+        off = np.array([spot[:2] for spot in accuracy.surface]) - wall[0, :2]
+        away = np.abs(off @ normals(wall)[0])
         if (far := int((away > limits.spot_in).sum())) > 0:
             words = f"{far} of {len(away)} measured spots are up to {away.max():.1f} in from their wall"
             place = accuracy.surface[int(away.argmax())][:2]

@@ -104,7 +104,7 @@ class WallAccuracy(NamedTuple):
     Attributes
     ----------
     offset_std_in
-        Standard deviation of its position across its direction, at its middle.
+        Standard deviation of its position across its direction, at the middle of what was measured.
     angle_std_rad
         Standard deviation of its direction.
     measured_in
@@ -131,15 +131,30 @@ def is_valid_accuracy(accuracy: WallAccuracy) -> bool:
 
 def moved_surface(surface: Iterable[SurfaceSpot], before: Sequence[float],
                   after: Sequence[float]) -> tuple[SurfaceSpot, ...]:  # fmt: skip
-    """Return the spots of a wall that was x1 y1 x2 y2 before: as far along it from its middle, and beside it."""
-    places = [complex(*ends[:2]) + complex(*ends[2:]) for ends in (before, after)]
-    along = [complex(*ends[2:]) - complex(*ends[:2]) for ends in (before, after)]
-    turn = along[1] * along[0].conjugate() / abs(along[0] * along[1])
+    """Return the spots of a wall that was x1 y1 x2 y2 before: at the same fraction of its length, as far beside it."""
+    spots = tuple(surface)
+    if not spots:
+        return ()
+    begins, spans = zip(*((complex(*ends[:2]), complex(*ends[2:]) - complex(*ends[:2])) for ends in (before, after)),
+                        strict=True)  # fmt: skip
     found = []
-    for x, y, std_in in surface:
-        place = 0.5 * places[1] + turn * (complex(x, y) - 0.5 * places[0])
-        found.append(SurfaceSpot(place.real, place.imag, std_in))
+    for x, y, std_in in spots:
+        # The fraction, and the distance to the left.
+        place = (complex(x, y) - begins[0]) / spans[0]
+        moved = begins[1] + spans[1] * complex(place.real, place.imag * abs(spans[0]) / abs(spans[1]))
+        found.append(SurfaceSpot(moved.real, moved.imag, std_in))
     return tuple(found)
+
+
+def spots_beside(surface: Iterable[SurfaceSpot], wall: Sequence[float]) -> tuple[SurfaceSpot, ...]:
+    """Return the spots that are beside a wall x1 y1 x2 y2, not beyond its ends."""
+    begin, end = complex(*wall[:2]), complex(*wall[2:])
+    along = (end - begin) / abs(end - begin)
+    return tuple(
+        spot for spot in surface
+        if -SPOT_REACH_IN <= ((complex(spot.x_in, spot.y_in) - begin) * along.conjugate()).real
+        <= abs(end - begin) + SPOT_REACH_IN
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

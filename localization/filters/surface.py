@@ -108,7 +108,7 @@ class SurfaceModel:
         faces = cone.around
         self._surfaces = {
             row: _Surface(spots, faces.corners[row], faces.along[row], faces.normals[row])
-            for row, spots in (surfaces or {}).items()
+            for row, spots in (surfaces or {}).items() if spots
         }
         self._levels: dict[int, _Level] = {}
         """By the number of the reflector."""
@@ -116,7 +116,7 @@ class SurfaceModel:
         self._x = self._y = self._heading = 0.0
         """Pose by odometry, from where the filter began."""
         self._hypotheses: list[tuple[int, bool]] = []
-        """Of the last association: reflector of each hypothesis, True for a new level."""
+        """Of the last association: reflector of each hypothesis, True where its level is b' afterwards."""
 
     def move(self, distance_in: float, turn_rad: float) -> None:
         """Take note of a step: the distance and the turn that the odometry parameters make of the reported one."""
@@ -161,7 +161,10 @@ class SurfaceModel:
                 derivatives.append([*H[:3], *[0.0] * LEVEL_STATES, *H[3:]])
                 variances.append(variance + level_variance)
                 probabilities.append(candidate.probability * AS_LEARNED)
-                self._hypotheses.append((candidate.reflector, False))
+                # Elsewhere the surface is on another level afterwards.
+                self._hypotheses.append((candidate.reflector, True))
+                innovation_var = update.kalman_gain(P, derivatives[-1], variances[-1])[1]
+                nearest_nis = min(nearest_nis, (reading_in - expected[-1]) ** 2 / innovation_var)
             for number, probability in hypotheses:
                 of_levels = [0.0] * LEVEL_STATES
                 of_levels[number] = 1.0

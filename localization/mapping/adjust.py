@@ -175,7 +175,10 @@ def _nearest_end(ends: Floats, point: Point) -> int:
 
 
 def _accuracy_rows(x0: Floats, of_wall: IndexArray) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the derivatives of a wall's position across its direction, at its middle, and of its direction."""
+    """Yield the derivatives of a wall's position across its direction, at its middle, and of its direction.
+
+    The accuracy of its position is that at the middle of what was measured, which need not be the same.
+    """
     for first, second in of_wall:
         along = x0[second] - x0[first]
         length = float(np.hypot(*along))

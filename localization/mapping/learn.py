@@ -656,7 +656,10 @@ def square(estimate: MapEstimate) -> int:
 
 
 def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:
-    """Return the map with a wall turned about its middle, and its surface where it was."""
+    """Return the map with a wall turned about its middle, and its surface where it was.
+
+    Coordinates along it are counted from the foot of the origin, which moves.
+    """
     trial, levels = estimate.copy(), estimate.state.levels
     own, walls = levels.of(wall), estimate.state.walls.copy()
     middle = segments_of(walls, estimate.extents)[wall].reshape(2, 2).mean(axis=0)
@@ -668,7 +671,14 @@ def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate
     normal = np.array((np.cos(angle + by_rad), np.sin(angle + by_rad)))
     walls[wall], values = (angle + by_rad, normal @ middle), levels.value_in.copy()
     values[own] = places @ normal - walls[wall, 1]
-    trial.state = replace(estimate.state, walls=walls, levels=replace(levels, value_in=values))
+    # 3. Coordinates along it, and cells.
+    by_in = float(middle @ np.array((-normal[1], normal[0])) - trial.extents[wall].mean())
+    extents, runs, cells = trial.extents.copy(), trial.runs.copy(), levels.cell.copy()
+    extents[wall] += by_in
+    runs[runs[:, 0] == wall, 1:] += by_in
+    cells[own] += round(by_in / LEVEL_CELL_IN)
+    trial.extents, trial.runs = extents, runs
+    trial.state = replace(estimate.state, walls=walls, levels=replace(levels, cell=cells, value_in=values))
     return trial
 
 

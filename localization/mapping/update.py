@@ -28,7 +28,7 @@ from localization.mapping.problem import robust_weight
 from localization.mapping.spans import MIN_CORNER_RAD
 from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths
 from worlds.geometry import lengths, nearest_points
-from worlds.world import StartPose, WallAccuracy, World, moved_surface
+from worlds.world import StartPose, WallAccuracy, World, moved_surface, spots_beside
 
 START_STD: Final = (2.0, 2.0, radians(5.0))
 """Standard deviations of the start pose, in, in, rad: the first legs of a drive measure its heading poorly."""
@@ -416,7 +416,8 @@ def _changed(
     for row, wall in rows.items():
         for rest in _without(wall, parts.get(row, [])):
             if row in accuracies:
-                stated[len(after)] = accuracies[row]
+                surface = spots_beside(accuracies[row].surface, rest.tolist())
+                stated[len(after)] = accuracies[row]._replace(surface=surface)
             if row - first in world.wall_names:
                 names[len(after)] = world.wall_names[row - first]
             after.append(rest)

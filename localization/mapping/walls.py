@@ -326,12 +326,13 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
 
     A wall with levels b_c keeps its direction, and its line is shifted to the mean of its levels:
 
-        angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c),   w_c = 1 / (var(b_c) + SPOT_STD_IN^2)
+        angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c),   w_c = 1 / (var_c + SPOT_STD_IN^2)
 
-    A cell weighs by what is known of it: one that a single echo has measured, or none between two others, hardly moves
-    the line. The straight line that fits the levels best would be slanted where a door stands back at one end, by
-    degrees, and all walls beside it would not meet at right angles. The derivatives are those by the wall's own angle
-    and offset, and by all l levels, with the weights as they are; of a plane those of the line itself.
+    A cell weighs by the variance of its level, given the one before: a single echo for half of many, a cell between
+    others that no echo has measured for a sixth. The straight line that fits the levels best would be slanted where a
+    door stands back at one end, by degrees, and all walls beside it would not meet at right angles. The derivatives are
+    those by the wall's own angle and offset, and by all l levels, with the weights as they are; of a plane those of the
+    line itself.
     """
     walls, levels = estimate.state.walls, estimate.state.levels
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))

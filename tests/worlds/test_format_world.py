@@ -7,7 +7,17 @@ import pytest
 
 from nclient.errors import WorldFileError
 from worlds.io import format_world, load_world, parse_world, world_names
-from worlds.world import Path, Polygon, StartPose, SurfaceSpot, WallAccuracy, World, WorldState, moved_surface
+from worlds.world import (
+    Path,
+    Polygon,
+    StartPose,
+    SurfaceSpot,
+    WallAccuracy,
+    World,
+    WorldState,
+    moved_surface,
+    spots_beside,
+)
 
 
 def same(one: World, other: World) -> None:
@@ -130,13 +140,22 @@ def test_wrong_surfaces_are_refused(text: str, words: str) -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 2.5])
 def test_surface_moves_with_its_wall(angle: float) -> None:
-    """Oracle: coordinates along both walls from their middles, and distances from them."""
-    before, middle, half = np.array([0.0, 0.0, 50.0, 0.0]), np.array([7.0, 9.0]), 26.0
+    """Oracle: fractions of the length of both walls, and distances from them."""
+    begin, length = np.array([7.0, 9.0]), 52.0
     along, left = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
-    found = moved_surface(SURFACE, before.tolist(), [*(middle - half * along), *(middle + half * along)])
-    for (x, y, std_in), spot in zip(SURFACE, found, strict=True):
-        off = np.array(spot[:2]) - middle
-        assert (off @ along, off @ left, spot.std_in) == pytest.approx((x - 25.0, y, std_in))
+    surface = (*SURFACE, SurfaceSpot(1.0, 2.0, 0.1), SurfaceSpot(49.0, -3.0, 0.1))
+    found = moved_surface(surface, [0.0, 0.0, 50.0, 0.0], [*begin, *(begin + length * along)])
+    for (x, y, std_in), spot in zip(surface, found, strict=True):
+        off = np.array(spot[:2]) - begin
+        assert (off @ along / length, off @ left, spot.std_in) == pytest.approx((x / 50.0, y, std_in))
+    assert moved_surface((), [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]) == ()
+
+
+def test_spots_beside_a_wall_are_those_between_its_ends() -> None:
+    places = (-0.5, 30.0), (0.5, 31.0), (32.0, 26.0), (43.5, 30.0), (45.0, 30.0)
+    spots = [SurfaceSpot(x, y, 0.1) for x, y in places]
+    assert spots_beside(spots, (2.0, 30.0, 42.0, 30.0)) == tuple(spots[1:4])
+    assert spots_beside(spots, (42.0, 30.0, 2.0, 30.0)) == tuple(spots[1:4])
 
 
 def test_impossible_surfaces_of_a_state_are_refused() -> None:

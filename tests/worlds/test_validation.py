@@ -153,3 +153,6 @@ def test_spots_of_a_surface_that_are_not_on_their_wall_are_found() -> None:
     (found,) = validate_world(replace(room(), inner_walls=walls, accuracies=accuracies), RADIUS_IN)
     assert (found.kind, found.place_in) == ("surface", (30.0, 50.5))
     assert "3 of 3 measured spots are up to 20.5 in" in found.words
+    # One that became shorter still leads through them.
+    walls = np.array([[60.0, 50.0, 80.0, 50.0], [20.0, 70.0, 80.0, 70.0]])
+    assert validate_world(replace(room(), inner_walls=walls, accuracies=accuracies), RADIUS_IN) == []

@@ -62,6 +62,7 @@ from worlds.world import (
     WallAccuracy,
     World,
     is_valid_accuracy,
+    spots_beside,
 )
 
 # Corners are displayed rounded to a thousandth of an inch.
@@ -124,7 +125,7 @@ def change_wall(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any
     before = world.accuracies.get(row)
     if accuracy is None and was is not None and now is not None and _is_on_line(now, was):
         # Longer or shorter, it is where it was measured to be.
-        accuracy = before
+        accuracy = before and before._replace(surface=spots_beside(before.surface, (*now[0], *now[-1])))
     # 2. Check that it fits.
     if was is None and len(world.inner_walls) >= server.allowed.obstacles:
         raise ControlError(f"wall: there are {len(world.inner_walls)} already, the maximum (--limit-obstacles)")

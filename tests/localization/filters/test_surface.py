@@ -330,3 +330,32 @@ def test_a_learned_surface_tells_the_distance_of_a_wall() -> None:
         errors.append(abs(float(localizer.belief.mean[1])))
     assert errors[0] < 0.2
     assert errors[1] > 1.0
+
+
+def test_beyond_learned_spots_the_level_is_a_new_one() -> None:
+    """A level of +1 in before a learned stretch says nothing of the wall behind it."""
+    surface = tuple(SurfaceSpot(float(x), 38.0, 0.1) for x in range(2, 40, 4))
+    model = SurfaceModel(ConeModel(WALL, N150, SONAR), {0: surface})
+    x, cov = with_levels([-20.0, 0.0, 0.0], 0)
+    cov = (np.array(cov) * np.outer(*[np.where(np.arange(len(x)) < 3, 0.01, 1.0)] * 2)).tolist()
+    update = SurfaceUpdate(model)
+    plane = 40.0 - N150.sonar_ring_radius_in
+    for _ in range(30):
+        x[0] += 2.0
+        model.move(2.0, 0.0)
+        update.apply(x, cov, LEFT, 0.0, plane + (-2.0 if x[0] > 0.0 else 1.0))
+    assert x[0] == pytest.approx(40.0, abs=0.5)
+    level = 3 + model._levels[0].number
+    assert abs(x[level]) < 0.5
+    assert cov[level][level] ** 0.5 > 1.0
+
+
+def test_echo_of_a_learned_spot_far_beside_its_wall_is_accepted() -> None:
+    """A door that stands back by 9 in, at the edge of the cone, where the map expects hardly any echo of the plane."""
+    spots = tuple(SurfaceSpot(float(x), 49.0, 0.1) for x in range(-40, 44, 4))
+    x, cov = with_levels([0.0, 0.0, 0.4365], 0)
+    cov = (1e-4 * np.array(cov)).tolist()
+    reading = 49.0 - N150.sonar_ring_radius_in * np.cos(0.4365)
+    learned, plain = (SurfaceModel(ConeModel(WALL, N150, SONAR), surfaces) for surfaces in ({0: spots}, {0: ()}))
+    assert learned.associate(x, cov, LEFT, 0.0, reading).refusal is Refusal.NONE
+    assert plain.associate(x, cov, LEFT, 0.0, reading).refusal is Refusal.NO_WALL

@@ -13,7 +13,7 @@ from localization.filters.belief import Floats
 from localization.mapping import update
 from localization.mapping.association import MapEstimate
 from localization.mapping.output import MapRefused
-from localization.mapping.update import MapDifference, compare
+from localization.mapping.update import Change, MapDifference, compare
 from localization.mapping.walls import Piece, extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import LAP, ROOM
@@ -67,7 +67,7 @@ def test_wall_has_moved_with_its_corners(estimate: MapEstimate) -> None:
     assert validate_world(found.world, 9.7) == []
 
 
-SURFACE = (SurfaceSpot(61.2, -1.0, 0.2),)
+SURFACE = (SurfaceSpot(61.2, -1.0, 0.2), SurfaceSpot(10.2, -1.0, 0.2))
 
 
 def with_surfaces(walls: Floats) -> World:
@@ -79,7 +79,9 @@ def test_surfaces_stay_on_walls_that_become_shorter(estimate: MapEstimate) -> No
     # In the map all is 2 % too large.
     found = compare(with_surfaces(1.02 * WALLS), estimate, START, np.zeros(3))
     assert found.scale == pytest.approx(1.0 / 1.02, abs=2e-3)
-    assert found.world.accuracies[0].surface[0] == pytest.approx((60.0, -1.0, 0.2), abs=0.2)
+    middle, near_the_end = found.world.accuracies[0].surface
+    assert middle == pytest.approx((60.0, -1.0, 0.2), abs=0.1)
+    assert near_the_end == pytest.approx((10.0, -1.0, 0.2), abs=0.1)
 
 
 def test_walls_that_moved_have_the_surface_of_the_drive(
@@ -108,6 +110,17 @@ def test_wall_that_paths_cross_is_missing(estimate: MapEstimate) -> None:
     (change,) = found.changes
     assert (change.kind, change.row, change.after) == ("missing", 4, None)
     np.testing.assert_allclose(found.world.walls, WALLS, atol=1e-3)
+
+
+def test_surface_of_a_missing_part_is_gone() -> None:
+    # From 50 to 70 in the drive has passed through the wall.
+    spots = tuple(SurfaceSpot(x, -1.0, 0.2) for x in (10.0, 30.0, 60.0, 90.0, 110.0))
+    world = replace(world_of(WALLS), accuracies={0: WallAccuracy(0.1, 0.0, 90.0, spots)})
+    change = Change("missing", 0, np.array([50.0, 0.0, 70.0, 0.0]), None)
+    after, accuracies, _ = update._changed(world, WALLS.copy(), [change], {0: [(50.0, 70.0)]})
+    surfaces = [accuracies[row].surface for row in (0, 1)]
+    assert [[spot.x_in for spot in surface] for surface in surfaces] == [[10.0, 30.0], [90.0, 110.0]]
+    assert after[:2].tolist() == [[0.0, 0.0, 50.0, 0.0], [70.0, 0.0, 120.0, 0.0]]
 
 
 def test_walls_keep_their_names(estimate: MapEstimate) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping import association, learn, output, spans, walls
-from localization.mapping.association import MapEstimate, residual_matrix
+from localization.mapping.association import MapEstimate, residual_matrix, segments_of
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import (
     close_wall_ends,
@@ -537,7 +537,11 @@ def test_posts_of_both_walls_of_a_corner_are_no_wall(
     # A wall that ends in the corner is none across it, and planes have no posts.
     assert not spans.cut_corners(found, np.array([(-25.0, west_y_in, -25.0, -25.0)])).any()
     assert not spans.cut_corners(estimate, ends).any()
-    # Such a wall is dropped; and none that is as long as the walls of the corner, or where walls are planes.
+    # Nor one from a wall that is shorter, such as a reveal.
+    short = found.copy()
+    short.extents = np.minimum(short.extents, short.extents[:, :1] + 10.0)
+    assert not spans.cut_corners(short, ends).any()
+    # Such a wall is dropped, but not where walls are planes.
     (x1, y1, x2, y2), = ends
     angle = float(np.arctan2(x1 - x2, y2 - y1))
     line = np.array((angle, x1 * np.cos(angle) + y1 * np.sin(angle)))
@@ -581,6 +585,35 @@ def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
     assert (abs(off) < 0.5) == (turned == 1 or turn_deg < 1.0)
     # Planes have no levels that could make up for it.
     assert learn.square(estimate) == 0
+
+
+def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstimate) -> None:
+    """Oracle: ends and spots of the surface in the plane, of a map that was shifted by 300 in."""
+    found, shift = with_levels(estimate), np.array((300.0, -200.0))
+    state = found.state
+    normals = np.stack((np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])), axis=-1)
+    moved = np.column_stack((state.walls[:, 0], state.walls[:, 1] + normals @ shift))
+    found.state = replace(state, walls=moved)
+    by_rad = radians(4.0)
+    turned = learn._turned_wall(found, 1, by_rad)
+
+    def surface(of: MapEstimate) -> tuple[Floats, Floats]:
+        (angle, offset), levels = of.state.walls[1], of.state.levels
+        own = levels.of(1)
+        n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        t = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+        return segments_of(of.state.walls, of.extents)[1], (offset + levels.value_in[own])[:, None] * n + t[:, None] * u
+
+    (ends, spots), (turned_ends, turned_spots) = surface(found), surface(turned)
+    middle, half = ends.reshape(2, 2).mean(axis=0), 0.5 * (ends[2:] - ends[:2])
+    c, s = np.cos(by_rad), np.sin(by_rad)
+    after = np.array((c * half[0] - s * half[1], s * half[0] + c * half[1]))
+    np.testing.assert_allclose(turned_ends, np.concatenate((middle - after, middle + after)))
+    # Along the wall to half a cell, since cells are counted from the foot of the origin.
+    off = turned_spots - spots
+    along = after / np.hypot(*after)
+    assert np.abs(off @ along).max() <= 0.5 * LEVEL_CELL_IN + 0.5
+    np.testing.assert_allclose(off @ (-along[1], along[0]), 0.0, atol=1e-9)
 
 
 def test_posts_stay_on_a_wall_with_levels(opened: MapEstimate) -> None:

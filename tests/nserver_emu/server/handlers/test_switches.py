@@ -283,6 +283,17 @@ def test_wall_that_becomes_longer_keeps_its_accuracy(to: list[list[float]], is_m
     assert (emulator.simulation.world.accuracies == {row: measured}) is is_measured
 
 
+def test_wall_that_becomes_shorter_keeps_the_spots_beside_it() -> None:
+    emulator = Emulator(simulation())
+    row = len(emulator.simulation.world.inner_walls)
+    change_wall(emulator, {"put": [[40, -9], [40, 9]]})
+    spots = tuple(SurfaceSpot(41.0, y, 0.2) for y in (-8.0, -4.0, 4.0, 8.0))
+    measured = WallAccuracy(0.1, 0.01, 15.0, spots)
+    emulator.simulation.change_world(replace(emulator.simulation.world, accuracies={row: measured}))
+    change_wall(emulator, {"wall": [[40, -9], [40, 9]], "to": [[40, -9], [40, 3]]})
+    assert emulator.simulation.world.accuracies == {row: measured._replace(surface=spots[:3])}
+
+
 @pytest.mark.parametrize("change", [{}, {"by": [5, 1]}])
 def test_undo_restores_the_accuracy_of_a_wall(change: dict[str, Any]) -> None:
     emulator = Emulator(simulation())
