@@ -46,7 +46,7 @@ def test_map_adjusts_to_a_taped_length(browser: Browser, tmp_path: Path) -> None
         once = adjust_walls(load_world(room), tapes).world.accuracies
         shown = parse_world(page.value(request), "page", "room").accuracies
         assert shown.keys() == once.keys()
-        assert [list(shown[k]) for k in once] == [pytest.approx(list(once[k]), rel=1e-3) for k in once]
+        assert [shown[k][:3] for k in once] == [pytest.approx(once[k][:3], rel=1e-3) for k in once]
         page.value("nserver.history.undo()")
         page.wait("document.querySelector('#tapes').children.length === 1")
         page.value("nserver.history.undo()")
