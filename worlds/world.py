@@ -96,6 +96,7 @@ class SurfaceSpot(NamedTuple):
 
 
 SPOT_REACH_IN: Final = 2.0
+"""Distance along a wall over which the level of a spot holds, to either side."""
 
 
 class WallAccuracy(NamedTuple):

@@ -128,6 +128,7 @@ MAX_BEARING_RAD: Final = 0.5
 FOUND_IN, FOUND_RAD, FOUND_FRACTION = 1.0, radians(2.0), 0.5
 FIT_STEPS: Final = 5
 FIT_SPOT_IN: Final = 0.5
+"""Learned spots that are farther from a surface count for less in the fit."""
 FIT_IN, FIT_RAD = 3.0, radians(10.0)
 """A learned wall is fitted to a true one this near to it."""
 SAMPLE_IN: Final = 1.0

@@ -51,8 +51,8 @@ MAX_LEVELS: Final = 6
 LEVEL_STATES: Final = MAX_LEVELS + 1
 """Coordinates of the state for the levels, and for the level that a wall may change to."""
 AS_LEARNED: Final = 0.9
-"""Probability that a learned spot of a surface is still there. From 0.5 on it hardly matters where it is; where all
-surfaces have changed, with 0.9 a position is half again as far off."""
+"""Probability that a learned spot of a surface is still there. Where it is, 0.9 to 0.97 do equally well; with 0.5 one
+of 15 drives was lost. Where all surfaces have changed, a position is twice as far off with 0.9 as without spots."""
 SPOT_STD_IN: Final = 0.4
 """Standard deviation of a surface from the level of a spot: where one level ends within it, the rest is an inch off."""
 

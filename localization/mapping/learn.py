@@ -663,15 +663,12 @@ def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate
     trial, levels = estimate.copy(), estimate.state.levels
     own, walls = levels.of(wall), estimate.state.walls.copy()
     middle = segments_of(walls, estimate.extents)[wall].reshape(2, 2).mean(axis=0)
-    # 1. The spots of the surface, beside the line as it was.
-    (angle, offset), t = walls[wall], LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+    # 1. The line, and the distances of the surface from it.
+    angle = float(walls[wall, 0]) + by_rad
     normal = np.array((np.cos(angle), np.sin(angle)))
-    places = (offset + levels.value_in[own])[:, None] * normal + t[:, None] * np.array((-normal[1], normal[0]))
-    # 2. Beside the turned line.
-    normal = np.array((np.cos(angle + by_rad), np.sin(angle + by_rad)))
-    walls[wall], values = (angle + by_rad, normal @ middle), levels.value_in.copy()
-    values[own] = places @ normal - walls[wall, 1]
-    # 3. Coordinates along it, and cells.
+    walls[wall], values = (angle, normal @ middle), levels.value_in.copy()
+    values[own] = estimate.state.surface(wall) @ normal - walls[wall, 1]
+    # 2. Coordinates along it, and cells.
     by_in = float(middle @ np.array((-normal[1], normal[0])) - trial.extents[wall].mean())
     extents, runs, cells = trial.extents.copy(), trial.runs.copy(), levels.cell.copy()
     extents[wall] += by_in

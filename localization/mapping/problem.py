@@ -182,6 +182,14 @@ class MapState:
         """Number of walls and points; in arrays of both the walls come first."""
         return len(self.walls) + len(self.points)
 
+    def surface(self, wall: int) -> Floats:
+        """Return the spots (k, 2) of a wall's levels, in the middle of their cells."""
+        (angle, offset), own = self.walls[wall], self.levels.of(wall)
+        normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+        at = LEVEL_CELL_IN * (self.levels.cell[own] + 0.5)
+        spots: Floats = (offset + self.levels.value_in[own])[:, None] * normal + at[:, None] * along
+        return spots
+
     def moved(self, poses: Floats, border: Floats) -> MapState:
         """Return the state after a step of the poses (n, 3) and of everything else (m,), (0,) if that is fixed."""
         if not len(border):

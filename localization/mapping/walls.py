@@ -238,7 +238,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
     if with_accuracy:
         _add_accuracy(estimate, pieces, lines)
-        _add_surfaces(estimate, pieces, lines)
+        _add_surfaces(estimate, pieces)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
 
@@ -310,14 +310,14 @@ def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offs
 
 
 def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
-    """Return the coordinates along the fitted line of the spots on a wall, without those that a point explains."""
+    """Return the coordinates along a wall of the spots on it, without those that a point explains."""
     state, echoes = estimate.state, estimate.echoes_of(wall)
     residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     walls = len(state.walls)
     own = np.abs(residual[:, wall])
     by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
     clear = (own < ROBUST_LIMIT) & ~(by_point < ALONE_SIGMAS)
-    angle = surface_lines(estimate)[0][wall, 0]
+    angle = state.walls[wall, 0]
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
 
 
@@ -708,20 +708,16 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
         piece.end_stds_in = (stds[0], stds[1])
 
 
-def _add_surfaces(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]) -> None:
+def _add_surfaces(estimate: MapEstimate, pieces: list[Piece]) -> None:
     """Add the measured spots of their surfaces to the pieces: the middles of cells whose levels have echoes."""
     levels, echoes = estimate.state.levels, estimate.assignment.level
     counts = np.bincount(echoes[echoes != NO_LEVEL], minlength=len(levels))
     for piece in pieces:
-        rows = np.arange(len(levels))[levels.of(piece.line)]
-        rows = rows[counts[rows] > 0]
-        angle, offset = estimate.state.walls[piece.line]
-        normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-        t = LEVEL_CELL_IN * (levels.cell[rows] + 0.5)
-        places = (offset + levels.value_in[rows])[:, None] * normal + t[:, None] * along
-        coordinates = places @ lines[piece.line].along
-        is_within = (coordinates > piece.low - SPOT_REACH_IN) & (coordinates < piece.high + SPOT_REACH_IN)
-        piece.surface = np.column_stack((places, np.sqrt(levels.var_in2[rows])))[is_within]
+        own = levels.of(piece.line)
+        at = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+        is_of_piece = (at > piece.low - SPOT_REACH_IN) & (at < piece.high + SPOT_REACH_IN) & (counts[own] > 0)
+        spots = np.column_stack((estimate.state.surface(piece.line), np.sqrt(levels.var_in2[own])))
+        piece.surface = spots[is_of_piece]
 
 
 def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Floats | None:
