@@ -38,9 +38,9 @@ from localization.mapping.consistency import (
     explains_enough,
     least_explained,
 )
-from localization.mapping.learn import find_undecided
 from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate
+from localization.mapping.merging import find_undecided
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
 from localization.mapping.spans import SAME_CORNER_IN
 from localization.mapping.survey import SurveyStep

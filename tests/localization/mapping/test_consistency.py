@@ -27,8 +27,9 @@ from localization.mapping.consistency import (
     leverages,
     repeated_ranges,
 )
-from localization.mapping.learn import find_undecided, learn_map
+from localization.mapping.learn import learn_map
 from localization.mapping.measurements import Indices, build_trajectory
+from localization.mapping.merging import find_undecided
 from localization.mapping.output import describe
 from localization.mapping.problem import NO_FEATURE, MapProblem, Reflection
 from tests.localization.mapping.drives import drive

@@ -18,21 +18,12 @@ from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.mapping import walls
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
 from localization.mapping.features import FreeEchoes, _decide, _fit
-from localization.mapping.learn import (
-    MapLearner,
-    _cost_by_readings,
-    _may_be_faces,
-    _merged,
-    _thickness,
-    drop_hidden,
-    drop_unmeasured,
-    learn_map,
-    merge,
-    split,
-)
+from localization.mapping.learn import MapLearner, _cost_by_readings, learn_map
 from localization.mapping.measurements import DriveLog
+from localization.mapping.merging import _may_be_faces, _merged, _thickness, merge, split
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
+from localization.mapping.revision import drop_hidden, drop_unmeasured
 from localization.mapping.walls import end_derivative, extract_walls
 from nclient.cli import main
 from tests.localization.mapping.drives import ROOM, drive

@@ -11,8 +11,9 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.features import _errors, _matched, close_loops
-from localization.mapping.learn import learn_map, merge
+from localization.mapping.learn import learn_map
 from localization.mapping.measurements import relative_pose, rotate
+from localization.mapping.merging import merge
 from localization.mapping.problem import MapProblem
 from tests.localization.mapping.drives import LAP, drive
 

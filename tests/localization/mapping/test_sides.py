@@ -23,7 +23,6 @@ from localization.mapping.association import (
     sides_of,
 )
 from localization.mapping.consistency import compare_returns, late_scores
-from localization.mapping.learn import part_late_points, part_points
 from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.measurements import DriveCollector, rotate
 from localization.mapping.problem import (
@@ -37,6 +36,7 @@ from localization.mapping.problem import (
     robust_weight,
     sensors_at,
 )
+from localization.mapping.revision import part_late_points, part_points
 
 
 def test_walls_of_a_room_are_measured_from_inside(estimate: MapEstimate) -> None:

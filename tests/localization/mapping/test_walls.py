@@ -11,21 +11,14 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping import association, learn, output, spans, walls
+from localization.mapping import association, output, revision, spans, walls
 from localization.mapping.association import MapEstimate, residual_matrix, segments_of
 from localization.mapping.explore import _span_places
-from localization.mapping.learn import (
-    close_wall_ends,
-    drop_corner_cuts,
-    find_undecided,
-    join_points,
-    prune,
-    split_surfaces,
-    swallow,
-)
 from localization.mapping.measurements import rotate
+from localization.mapping.merging import find_undecided, split_surfaces
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
+from localization.mapping.revision import close_wall_ends, drop_corner_cuts, join_points, prune, swallow
 from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
 from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
 from worlds.io import format_world, load_world
@@ -83,12 +76,12 @@ def test_wall_that_stops_sound_is_no_point(
 ) -> None:
     join_points(opened)
     # As if a point were always cheaper.
-    monkeypatch.setattr(learn, "SWALLOW_IN", np.inf)
+    monkeypatch.setattr(revision, "SWALLOW_IN", np.inf)
     monkeypatch.setattr(spans, "MIN_STOPPED", 1)
     monkeypatch.setitem(association.PENALTY, "wall", 1e6)
-    monkeypatch.setattr(learn, "_have_ends", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
+    monkeypatch.setattr(revision, "_have_ends", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
     if not stops_sound:
-        monkeypatch.setattr(learn, "_are_spans", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
+        monkeypatch.setattr(revision, "_are_spans", lambda found: np.zeros(len(found.state.walls), dtype=np.bool_))
     swallow(opened)
     south = np.array([[10.0, -25.0, 36.0, -25.0]])
     assert pass_through(opened.state.walls, south, 1.0).any() == stops_sound
@@ -255,7 +248,7 @@ def test_what_is_seen_through_an_unmeasured_part_of_a_wall_alone_is_none(
     is_inside = ends[:, 1] > -24.0
     paths = np.concatenate((starts[is_inside], through[0])), np.concatenate((ends[is_inside], through[1]))
     monkeypatch.setattr(walls, "free_paths", lambda _: paths)
-    assert learn.drop_hidden(found) == dropped
+    assert revision.drop_hidden(found) == dropped
 
 
 def test_walls_of_uncertain_place_are_not_written(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -571,7 +564,7 @@ def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
     """A wall of a square room, turned with levels that make up for it; 0.5 degrees are left to the optimizer."""
     found = with_levels(estimate)
     found.optimize(3)
-    slanted = learn._turned_wall(found, 1, radians(turn_deg))
+    slanted = revision._turned_wall(found, 1, radians(turn_deg))
     # The surface stays where it is: as far from the turned line as its levels say.
     own = slanted.state.levels.of(1)
     (angle, offset), (turned_rad, turned_offset) = found.state.walls[1], slanted.state.walls[1]
@@ -580,11 +573,11 @@ def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
     places = (offset + found.state.levels.value_in[own])[:, None] * n + t[:, None] * u
     off_line = places @ (np.cos(turned_rad), np.sin(turned_rad)) - turned_offset
     np.testing.assert_allclose(slanted.state.levels.value_in[own], off_line)
-    assert learn.square(slanted) == turned
+    assert revision.square(slanted) == turned
     off = np.degrees(wrap_angle(4.0 * (slanted.state.walls[1, 0] - slanted.state.walls[0, 0])) / 4.0)
     assert (abs(off) < 0.5) == (turned == 1 or turn_deg < 1.0)
     # Planes have no levels that could make up for it.
-    assert learn.square(estimate) == 0
+    assert revision.square(estimate) == 0
 
 
 def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstimate) -> None:
@@ -595,7 +588,7 @@ def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstim
     moved = np.column_stack((state.walls[:, 0], state.walls[:, 1] + normals @ shift))
     found.state = replace(state, walls=moved)
     by_rad = radians(4.0)
-    turned = learn._turned_wall(found, 1, by_rad)
+    turned = revision._turned_wall(found, 1, by_rad)
 
     def surface(of: MapEstimate) -> tuple[Floats, Floats]:
         (angle, offset), levels = of.state.walls[1], of.state.levels
@@ -620,7 +613,7 @@ def test_posts_stay_on_a_wall_with_levels(opened: MapEstimate) -> None:
     for made, left in ((opened, 6), (with_levels(opened), 7)):
         made.add_point(np.array((23.0, -24.0)))
         line, extent = np.array((-0.5 * np.pi, 25.0)), np.array((10.0, 36.0))
-        assert len(learn._with_wall(made, line, extent).state.points) == left
+        assert len(revision._with_wall(made, line, extent).state.points) == left
 
 
 def test_parts_of_a_surface_with_a_gap_are_walls_of_their_own(estimate: MapEstimate) -> None:

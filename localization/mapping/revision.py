@@ -1,0 +1,576 @@
+"""Revision of a map: each change is tried, optimized and reverted unless the total cost falls.
+
+    prune    a feature without which the echoes cost less than PENALTY more is removed
+    part     a point that looks different from two sides, or since a return, becomes two
+    posts    points on the surface of a wall, or in a corner of two, whose echoes the walls had explained
+    swallow  a short wall becomes a point
+    join     two points become the ends of a wall
+    absorb   a point on a wall becomes part of it
+    square   a wall with levels turns to the axes of the building
+    drop     what is hidden behind walls, across their corners, or measured no more is removed, whatever it costs
+    tie      points near a wall's line are corners or ends of it
+
+Walls that are one or two: `localization/mapping/merging.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from math import radians
+from typing import Final
+
+import numpy as np
+
+from localization.filters.belief import Floats
+from localization.mapping.association import (
+    PENALTY,
+    MapEstimate,
+    Mask,
+    along_and_across,
+    assign,
+    is_blocked,
+    residual_matrix,
+    segments_of,
+)
+from localization.mapping.consistency import late_scores
+from localization.mapping.measurements import Indices
+from localization.mapping.merging import JOIN_STEPS, MERGE_GAP_IN
+from localization.mapping.problem import (
+    LEVEL_CELL_IN,
+    NO_FEATURE,
+    RIGHT_ANGLE_STD_RAD,
+    ROBUST_LIMIT,
+    Levels,
+    robust_cost,
+)
+from localization.mapping.spans import (
+    MAX_SPAN_IN,
+    MIN_CORNER_RAD,
+    Span,
+    cut_corners,
+    find_wall_ends,
+    pass_through,
+    uncrossed_spans,
+    walls_along,
+)
+from localization.mapping.walls import REACH_IN, extract_walls, free_paths, unpassed_gaps
+
+LAST_STEPS: Final = 10
+MAX_TURN_RAD: Final = radians(15.0)
+"""A wall that is off the axes by more is meant to be."""
+SWALLOW_IN: Final = 40.0
+"""Walls seen over a shorter length may be a corner."""
+DIVIDERS_RAD: Final = np.linspace(0.0, np.pi, 12, endpoint=False)
+"""Normals of the lines that are tried."""
+MIN_PART_ECHOES: Final = 5
+PART_PENALTY: Final = 15.0
+"""Of the second of two points that were one until late: 2 ln(200 echoes), and the choice of one of so many points."""
+MIN_LATE_SCORE: Final = 0.5 * PART_PENALTY
+"""Least score of a point for which two are tried: the robust weights of what is far off lower it."""
+MIN_PART_GAIN: Final = 0.6 * PENALTY["point"]
+"""Least fall of the sum of squares for which two points are tried: other echoes than their own fit better, too."""
+HIDDEN_FRACTION: Final = 0.5
+"""Of a wall's echoes; the false ones in the corner of a wedge had 0.9."""
+NICHE_IN: Final = 12.0
+"""Doors and windows stand back less from their wall."""
+MIN_DETERMINED: Final = 2
+"""Ranges and ties that determine the two unknowns of a feature."""
+MIN_JOIN_ECHOES: Final = 4
+"""Echoes that must support a wall between two points, unless no sound passes where it should."""
+JOINED_PENALTY: Final = 15.0
+"""Of a wall between two points, which has no unknowns of its own."""
+POINT_ON_WALL_IN: Final = 2.5
+POST_APART_IN: Final = 2.0
+"""Posts nearer to one another are one."""
+MIN_POST_GAIN: Final = 0.5 * PENALTY["point"]
+"""Least fall of the costs of single echoes for which a post is tried: optimized, it may save more."""
+ABSORB_LOSS: Final = 4.0 * PENALTY["point"]
+"""If a point's echoes cost so much more on the wall, the map is not optimized without it: that could hardly pay."""
+TIE_IN: Final = 1.0
+TIE_BEYOND_IN: Final = 6.0
+"""A point within TIE_IN of a wall's line, and not farther beyond its end, lies on the wall."""
+
+
+def prune(estimate: MapEstimate, first_node: int = 0) -> int:
+    """Remove features that save less than their penalty, the least useful first, and return their number.
+
+    Only those that were measured since a node: of the others nothing has changed.
+    """
+    removed = 0
+    while estimate.state.features:
+        losses = _losses(estimate, first_node)
+        walls = len(estimate.state.walls)
+        penalties = np.where(np.arange(len(losses)) < walls, PENALTY["wall"], PENALTY["point"])
+        penalties[:walls][_have_ends(estimate)] = JOINED_PENALTY
+        penalties[:walls] += estimate.surface_costs
+        penalties[:walls][_are_spans(estimate)] = 0.0
+        worst = int((losses - penalties).argmin())
+        if losses[worst] >= penalties[worst]:
+            break
+        estimate.remove(worst)
+        estimate.associate()
+        removed += 1
+    return removed
+
+
+def _are_spans(estimate: MapEstimate) -> Mask:
+    """Return True (w,) for walls through two points between which there is one by what sonars measured (`Span`)."""
+    spans = [span.ends for span in uncrossed_spans(estimate, free_paths(estimate)) if span.is_wall]
+    within_in = TIE_IN + estimate.surface_in
+    return np.asarray(pass_through(estimate.state.walls, np.reshape(spans, (-1, 4)), within_in).any(axis=1))
+
+
+def _losses(estimate: MapEstimate, first_node: int) -> Floats:
+    """Return by how much the cost of the echoes rises without each feature (f,); inf for those not measured lately."""
+    state, node = estimate.state, estimate.problem.trajectory.node
+    losses = np.full(state.features, np.inf)
+    echoes_of = [estimate.echoes_of(feature) for feature in range(state.features)]
+    recent = [feature for feature, echoes in enumerate(echoes_of)
+              if not first_node or not len(echoes) or node[echoes[-1]] >= first_node]
+    if not recent:
+        return losses
+    bounds = np.cumsum([len(echoes_of[feature]) for feature in recent])
+    _, costs = assign(estimate, np.concatenate([echoes_of[feature] for feature in recent]))
+    for feature, now in zip(recent, np.split(costs, bounds[:-1]), strict=True):
+        without = estimate.copy()
+        without.remove(feature)
+        _, then = assign(without, echoes_of[feature])
+        losses[feature] = then.sum() - now.sum()
+    return losses
+
+
+def part_points(estimate: MapEstimate) -> int:
+    """Replace points that are nearer from one side than from the other by two where the total cost falls.
+
+    The corners of two rooms on either side of a wall are a hand's breadth apart, and so are the edges of a door. They
+    are told apart by the sides of a line through the point, the one that divides the residuals best.
+    """
+    parted, walls = 0, len(estimate.state.walls)
+    for number in range(len(estimate.state.points)):
+        echoes = estimate.echoes_of(walls + number)
+        residual, sensors, _ = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        z = residual[:, walls + number]
+        z = np.clip(np.where(np.isfinite(z), z, 0.0), -ROBUST_LIMIT, ROBUST_LIMIT)
+        off = sensors.face - estimate.state.points[number]
+        is_left = off @ np.stack((np.cos(DIVIDERS_RAD), np.sin(DIVIDERS_RAD))) > 0.0
+        left = is_left.sum(axis=0)
+        right = len(z) - left
+        # By how much the sum of squares falls if both sides have a mean of their own.
+        difference = z @ is_left / np.maximum(left, 1) - z @ ~is_left / np.maximum(right, 1)
+        gain = np.square(difference) * left * right / max(len(z), 1)
+        gain[np.minimum(left, right) < MIN_PART_ECHOES] = 0.0
+        if not len(z) or gain.max() < MIN_PART_GAIN:
+            continue
+        trial = _with_two_points(estimate, number, echoes[is_left[:, gain.argmax()]])
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            parted += 1
+    return parted
+
+
+def part_late_points(estimate: MapEstimate) -> int:
+    """Replace points that are elsewhere since the robot came back by two where the total cost falls.
+
+    A map that is bent until one point fits the echoes of both has small residuals: the score of late echoes shows it.
+
+    Returns
+    -------
+    int
+        The number of new points.
+    """
+    parted, walls = 0, len(estimate.state.walls)
+    explained = np.flatnonzero(estimate.assignment.feature != NO_FEATURE)
+    for number, score, rows in late_scores(estimate):
+        if number < walls or score < MIN_LATE_SCORE:
+            continue
+        trial = _with_two_points(estimate, number - walls, explained[rows])
+        if trial.cost - PENALTY["point"] + PART_PENALTY < estimate.cost:
+            estimate.replace_by(trial)
+            parted += 1
+    return parted
+
+
+def _with_two_points(estimate: MapEstimate, number: int, echoes: Indices) -> MapEstimate:
+    """Return the map with a second point, which starts with some echoes of one, optimized."""
+    trial = estimate.copy()
+    trial.add_point(estimate.state.points[number])
+    feature = trial.assignment.feature.copy()
+    feature[echoes] = trial.state.features - 1
+    trial.assignment = replace(trial.assignment, feature=feature)
+    trial.optimize(JOIN_STEPS, robust=False)
+    for _ in range(2):
+        trial.optimize(3)
+        trial.associate()
+    return trial
+
+
+def drop_hidden(estimate: MapEstimate) -> int:
+    """Remove walls behind others, most of whose echoes would have passed through these; return their number.
+
+    Sound that is reflected twice in a corner comes late, as if from beyond it. Where nothing else was measured beyond,
+    the other walls reach as far as the corner. What is open at both ends is also dropped if its echoes alone pass
+    through the gap of a wall, and it is no door that stands back: sound between that wall and a box before it comes
+    late.
+    """
+    dropped = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        echoes = estimate.echoes_of(wall)
+        _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        own = [piece for piece in extract_walls(estimate, with_accuracy=False) if piece.line == wall]
+        without = estimate.copy()
+        without.remove(wall)
+        pieces = extract_walls(without, with_accuracy=False)
+        others = np.array([piece.ends.reshape(4) for piece in pieces]).reshape(-1, 4)
+        blocked = is_blocked(sensors.face, spots[:, wall], others, estimate.blocked_in)
+        if not any(any(piece.closed) for piece in own):
+            blocked |= is_blocked(sensors.face, spots[:, wall], unpassed_gaps(without, pieces), NICHE_IN)
+        if len(echoes) and blocked.mean() > HIDDEN_FRACTION:
+            without.associate()
+            estimate.replace_by(without)
+            dropped += 1
+    return dropped
+
+
+def drop_corner_cuts(estimate: MapEstimate) -> int:
+    """Remove walls with levels that lead from one wall to another across their corner; return their number."""
+    numbers = np.flatnonzero(cut_corners(estimate, segments_of(estimate.state.walls, estimate.extents)))
+    for number in reversed(numbers.tolist()):
+        estimate.remove(number)
+    if len(numbers):
+        estimate.associate()
+    return len(numbers)
+
+
+def drop_unmeasured(estimate: MapEstimate) -> int:
+    """Remove features that neither ranges nor two ties determine, since all lost theirs; return their number.
+
+    They are anywhere, and with them the rigid fit of the whole map, by which the accuracy of all walls is stated.
+    """
+    dropped = 0
+    feature, ties = estimate.assignment.feature, estimate.assignment.ties
+    counts = np.bincount(feature[feature != NO_FEATURE], minlength=estimate.state.features)
+    np.add.at(counts, np.concatenate((ties[:, 0] + len(estimate.state.walls), ties[:, 1])), 1)
+    for number in reversed(np.flatnonzero(counts < MIN_DETERMINED).tolist()):
+        estimate.remove(number)
+        dropped += 1
+    return dropped
+
+
+def swallow(estimate: MapEstimate) -> int:
+    """Replace short walls by points where the total cost falls, and return their number.
+
+    A line past a corner picks those of the corner's echoes whose noise suits it.
+    """
+    swallowed = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        low, high = estimate.extents[wall]
+        if high - low > SWALLOW_IN or _have_ends(estimate)[wall] or _are_spans(estimate)[wall]:
+            continue
+        trial = estimate.copy()
+        segment = segments_of(trial.state.walls, trial.extents)[wall]
+        trial.remove(wall)
+        trial.associate()
+        without = trial.copy()
+        # With a point in its place, which no ray meets, and without.
+        if not estimate.problem.rays:
+            trial.add_point(segment.reshape(2, 2).mean(axis=0))
+        for candidate in (trial, without):
+            candidate.associate()
+            candidate.optimize(3)
+            candidate.associate()
+            candidate.optimize(3)
+        best = min((estimate, trial, without), key=lambda candidate: candidate.cost)
+        if best is not estimate:
+            estimate.replace_by(best)
+            swallowed += 1
+    return swallowed
+
+
+def add_posts(estimate: MapEstimate) -> int:
+    """Add points on the surfaces of walls and in their corners where the total cost falls, and return their number.
+
+    A wall with levels explains the echoes of its posts nearly as well: they give birth to nothing. The places at which
+    a point would lower the costs of single echoes most are tried, with everything optimized.
+    """
+    if not estimate.surface_in or estimate.problem.rays:
+        return 0
+    added, tried = 0, np.empty((0, 2))
+    while len(places := _post_places(estimate, tried)):
+        trial = estimate.copy()
+        for place in places:
+            trial = estimate.copy()
+            trial.add_point(place)
+            for _ in range(2):
+                trial.associate()
+                tie_points(trial)
+                trial.optimize(3)
+            trial.associate()
+            tie_points(trial)
+            tried = np.append(tried, place[None], axis=0)
+            if trial.cost < estimate.cost:
+                break
+        else:
+            break
+        estimate.replace_by(trial)
+        added += 1
+    return added
+
+
+def _post_places(estimate: MapEstimate, tried: Floats) -> Floats:
+    """Return where points would lower the costs of single echoes by MIN_POST_GAIN (k, 2), the best first.
+
+    Not beside points of the map, nor beside those that were tried (t, 2), nor beside one another.
+    """
+    state = estimate.state
+    # 1. On surfaces, and where the lines of two walls meet near both.
+    corners = [
+        corner for one, other in combinations(range(len(state.walls)), 2)
+        if (corner := _corner_of(estimate, one, other)) is not None
+    ]  # fmt: skip
+    places = np.concatenate([*(state.surface(wall) for wall in range(len(state.walls))), np.reshape(corners, (-1, 2))])
+    known = np.concatenate((state.points, tried))
+    if len(known):
+        places = places[np.hypot(*(places[:, None] - known).transpose(2, 0, 1)).min(axis=1) > POST_APART_IN]
+    # 2. What echoes would cost less.
+    echoes = estimate.echoes()
+    alone = replace(state, walls=state.walls[:0], points=places, levels=Levels())
+    residual, sensors, _ = residual_matrix(estimate.problem, alone, estimate.extents[:0], echoes)
+    fits = np.isfinite(residual)
+    then = robust_cost(np.where(fits, residual, 0.0))
+    gain = np.where(fits, np.maximum(assign(estimate, echoes)[1][:, None] - then, 0.0), 0.0)
+    echo, place = np.nonzero(gain)
+    blocked = is_blocked(sensors.face[echo], places[place], estimate.blocking, estimate.blocked_in)
+    gain[echo[blocked], place[blocked]] = 0.0
+    total = gain.sum(axis=0)
+    # 3. The best of those side by side.
+    order = np.argsort(-total, kind="stable")[: int((total > MIN_POST_GAIN).sum())]
+    found = list[Floats]()
+    for place in places[order]:
+        if all(np.hypot(*(place - other)) > POST_APART_IN for other in found):
+            found.append(place)
+    return np.reshape(found, (-1, 2))
+
+
+def _corner_of(estimate: MapEstimate, one: int, other: int) -> Floats | None:
+    """Return where the lines of two walls meet, if at an angle and near the ends of both that echoes show."""
+    walls = estimate.state.walls[[one, other]]
+    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
+    if abs(np.sin(walls[1, 0] - walls[0, 0])) < np.sin(MIN_CORNER_RAD):
+        return None
+    corner: Floats = np.linalg.solve(normals, walls[:, 1])
+    at = along_and_across(corner[None], walls)[0][0]
+    low, high = estimate.extents[[one, other]].T
+    return corner if ((at > low - REACH_IN) & (at < high + REACH_IN)).all() else None
+
+
+def absorb_points(estimate: MapEstimate) -> int:
+    """Remove points on a wall's line that the wall explains as well, if it is seen as far; return their number."""
+    absorbed = 0
+    for number in reversed(range(len(estimate.state.points))):
+        state = estimate.state
+        walls, point = len(state.walls), state.points[number]
+        along, across = (of_point[0] for of_point in along_and_across(point[None], state.walls))
+        echoes = estimate.echoes_of(walls + number)
+        now = _cost_of(estimate, echoes)
+        for wall in np.flatnonzero(np.abs(across) < TIE_IN + 2.0):
+            low, high = estimate.extents[wall]
+            if not low - MERGE_GAP_IN < along[wall] < high + MERGE_GAP_IN:
+                continue
+            # Its echoes are the wall's, which then reaches as far as the point.
+            trial = estimate.copy()
+            feature = np.where(trial.assignment.feature == walls + number, wall, trial.assignment.feature)
+            extents = trial.extents.copy()
+            extents[wall] = min(low, along[wall]), max(high, along[wall])
+            trial.assignment, trial.extents = replace(trial.assignment, feature=feature), extents
+            trial.remove(walls + number)
+            if _cost_of(trial, echoes) - now > ABSORB_LOSS:
+                continue
+            trial.optimize(3)
+            trial.associate()
+            trial.optimize(3)
+            if trial.cost < estimate.cost:
+                estimate.replace_by(trial)
+                absorbed += 1
+                break
+    return absorbed
+
+
+def square(estimate: MapEstimate) -> int:
+    """Turn walls with levels to the axes of the building where the total cost falls, and return their number.
+
+    What is off by more than its robust limit is hardly pulled to a right angle, and levels make up for the slope.
+    """
+    turned = 0
+    for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
+        off = estimate.problem.angle_residuals(estimate.state, estimate.assignment)[0] * RIGHT_ANGLE_STD_RAD
+        if not len(off) or not ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD < abs(off[wall]) < MAX_TURN_RAD:
+            continue
+        trial = _turned_wall(estimate, wall, -float(off[wall]))
+        for _ in range(2):
+            trial.optimize(JOIN_STEPS)
+            trial.associate()
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            turned += 1
+    return turned
+
+
+def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:
+    """Return the map with a wall turned about its middle, and its surface where it was.
+
+    Coordinates along it are counted from the foot of the origin, which moves.
+    """
+    trial, levels = estimate.copy(), estimate.state.levels
+    own, walls = levels.of(wall), estimate.state.walls.copy()
+    middle = segments_of(walls, estimate.extents)[wall].reshape(2, 2).mean(axis=0)
+    # 1. The line, and the distances of the surface from it.
+    angle = float(walls[wall, 0]) + by_rad
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    walls[wall], values = (angle, normal @ middle), levels.value_in.copy()
+    values[own] = estimate.state.surface(wall) @ normal - walls[wall, 1]
+    # 2. Coordinates along it, and cells.
+    by_in = float(middle @ np.array((-normal[1], normal[0])) - trial.extents[wall].mean())
+    extents, runs, cells = trial.extents.copy(), trial.runs.copy(), levels.cell.copy()
+    extents[wall] += by_in
+    runs[runs[:, 0] == wall, 1:] += by_in
+    cells[own] += round(by_in / LEVEL_CELL_IN)
+    trial.extents, trial.runs = extents, runs
+    trial.state = replace(estimate.state, walls=walls, levels=replace(levels, cell=cells, value_in=values))
+    return trial
+
+
+def _cost_of(estimate: MapEstimate, echoes: Indices) -> float:
+    """Return the robust cost of some echoes, assigned anew."""
+    return float(assign(estimate, echoes)[1].sum())
+
+
+def join_points(estimate: MapEstimate) -> int:
+    """Add walls between two points where no sound has passed and the total cost falls, and return their number.
+
+    A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
+    Where sound should have passed, or sonars have measured a surface, the wall need not pay for itself.
+    """
+    joined, tried = 0, set[tuple[float, ...]]()
+    while True:
+        for span in uncrossed_spans(estimate, free_paths(estimate)):
+            key = tuple(span.ends.tolist())
+            if key in tried:
+                continue
+            tried.add(key)
+            if _try_join(estimate, span):
+                joined += 1
+                break
+        else:
+            return joined
+
+
+def _have_ends(estimate: MapEstimate) -> Mask:
+    """Return True (w,) for walls with a point on their line beyond either end, which determine it."""
+    along, across = along_and_across(estimate.state.points, estimate.state.walls)
+    on_line = np.abs(across) < TIE_IN + estimate.surface_in
+    low, high = estimate.extents.T
+    before = on_line & (along < low + POINT_ON_WALL_IN) & (along > low - MAX_SPAN_IN)
+    after = on_line & (along > high - POINT_ON_WALL_IN) & (along < high + MAX_SPAN_IN)
+    return np.asarray(before.any(axis=0) & after.any(axis=0), dtype=np.bool_)
+
+
+def _try_join(estimate: MapEstimate, span: Span) -> bool:
+    """Add a wall between two points if the total cost falls; return True if it did."""
+    state, problem = estimate.state, estimate.problem
+    # 1. The line through both.
+    line, extent = _line_of(span)
+    if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN + estimate.surface_in).any():
+        return False
+    # 2. It must explain echoes of its inner part that no wall explains.
+    if not span.is_wall:
+        echoes = estimate.echoes()
+        feature, walls = estimate.assignment.feature[echoes], len(state.walls)
+        short = np.flatnonzero(estimate.extents[:, 1] - estimate.extents[:, 0] < SWALLOW_IN)
+        is_open = (feature == NO_FEATURE) | np.isin(feature, short) | (feature >= walls)
+        echoes = echoes[is_open & ~np.isin(feature, (walls + span.one, walls + span.other))]
+        alone = replace(state, walls=line[None], points=state.points[:0], levels=Levels())
+        residual, _, spots = residual_matrix(problem, alone, extent[None], echoes)
+        feet = spots[:, 0] @ (-np.sin(line[0]), np.cos(line[0]))
+        supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > extent[0]) & (feet < extent[1])
+        if supports.sum() < MIN_JOIN_ECHOES:
+            return False
+    trial = _with_wall(estimate, line, extent)
+    penalty = PENALTY["wall"] + float(trial.surface_costs[-1]) if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
+    if trial.cost - penalty > estimate.cost:
+        return False
+    estimate.replace_by(trial)
+    return True
+
+
+def close_wall_ends(estimate: MapEstimate) -> int:
+    """Add the ends of walls whose faces both end there (`find_wall_ends`), and optimize; return their number.
+
+    They have no echoes of their own. What determines them are their corners, and that walls are at right angles.
+    """
+    spans = [
+        span for span in find_wall_ends(estimate, free_paths(estimate))
+        if not len(walls_along(estimate.state.walls, span))
+    ]  # fmt: skip
+    if not spans:
+        return 0
+    first = len(estimate.state.walls)
+    for span in spans:
+        estimate.add_wall(*_line_of(span))
+    tie_points(estimate)
+    estimate.optimize(LAST_STEPS)
+    # They have turned, and coordinates along them have changed.
+    for number, span in enumerate(spans, start=first):
+        angle = estimate.state.walls[number, 0]
+        at = estimate.state.points[[span.one, span.other]] @ (-np.sin(angle), np.cos(angle))
+        estimate.narrow(number, np.sort(at))
+    return len(spans)
+
+
+def _line_of(span: Span) -> tuple[Floats, Floats]:
+    """Return the line (2,) through both points of a span, and its extent (2,)."""
+    first, second = span.ends.reshape(2, 2)
+    along = (second - first) / np.hypot(*(second - first))
+    angle = float(np.arctan2(-along[0], along[1]))
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    forward = np.array((-normal[1], normal[0]))
+    extent = np.sort((float(first @ forward), float(second @ forward)))
+    return np.array((angle, float(first @ normal))), extent
+
+
+def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstimate:
+    """Return the map with one wall (2,) more, optimized. Points in its middle are part of it, unless it has levels."""
+    trial, state = estimate.copy(), estimate.state
+    c, s = np.cos(line[0]), np.sin(line[0])
+    along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
+    between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
+    # A wall with a surface has posts.
+    if not estimate.surface_in:
+        for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
+            trial.remove(len(state.walls) + int(number))
+    trial.add_wall(line, extent)
+    for _ in range(2):
+        trial.associate()
+        tie_points(trial)
+        trial.optimize(3)
+    # What it hides counts against it, by the extent that its echoes show at the end.
+    trial.associate()
+    tie_points(trial)
+    return trial
+
+
+def tie_points(estimate: MapEstimate) -> None:
+    """Tie each point to the walls on whose lines it lies: one that it is near to, or two that meet in it.
+
+    Both walls of a corner are tied to it, wherever their extents end: the ranges of the corner and of its walls are
+    what tells the range offset of all sonars apart from the size of a room.
+    """
+    state, ties = estimate.state, []
+    low, high = estimate.extents.T
+    for number, (along, off) in enumerate(zip(*along_and_across(state.points, state.walls), strict=True)):
+        across, beyond = np.abs(off), np.maximum(np.maximum(low - along, along - high), 0.0)
+        meeting = np.flatnonzero((across < TIE_IN) & (beyond < REACH_IN))
+        slope = np.abs(np.sin(state.walls[meeting, 0][:, None] - state.walls[meeting, 0]))
+        is_corner = (slope > np.sin(MIN_CORNER_RAD)).any(axis=1)
+        ties += [(number, wall) for wall in meeting[is_corner | (beyond[meeting] < TIE_BEYOND_IN + across[meeting])]]
+    estimate.assignment = replace(estimate.assignment, ties=np.array(ties, dtype=np.intp).reshape(-1, 2))
