@@ -57,6 +57,7 @@ from localization.mapping.problem import (
     robust_cost,
     sensors_at,
 )
+from localization.mapping.surfaces import divided, gate_variances
 from worlds import geometry
 
 Mask = npt.NDArray[np.bool_]
@@ -235,16 +236,17 @@ class MapEstimate:
             row, away_in = levels.nearest(wall, (cell + 0.5) * LEVEL_CELL_IN)
             away_in = np.where(away_in > 0.0, away_in + 0.5 * LEVEL_CELL_IN, 0.0)
             values = np.append(levels.value_in, 0.0)[row] * reflection.correlation(away_in)
-            levels = Levels(wall, cell, values, np.zeros(len(wall)))
+            is_known = away_in == 0.0
+            levels = Levels(wall, cell, values, np.zeros(len(wall)), np.append(levels.is_new, False)[row] & is_known)
         # 2. The level of each echo.
         level = np.full(len(feature), NO_LEVEL, dtype=np.intp)
         level[echoes], _ = levels.nearest(walls, feet)
         self.assignment = replace(self.assignment, level=level)
-        # 3. How well each level is known.
+        # 3. Where the surface changes, and how well each level is known.
         if not self.problem.has_fixed_map:
-            information = self.problem.level_information(levels, self.assignment)
-            prior = np.square(self.problem.level_residuals(levels)[1])
-            self.state = replace(self.state, levels=replace(levels, var_in2=1.0 / (prior + information)))
+            levels = divided(self.problem, replace(self.state, levels=levels), self.assignment, is_known)
+            variances = gate_variances(self.problem, levels, self.assignment)
+            self.state = replace(self.state, levels=replace(levels, var_in2=variances))
 
     def _feet(self, echoes: Indices) -> Floats:
         """Return the coordinates (e,) along the walls that explain echoes at which these were reflected."""

@@ -11,12 +11,12 @@
     bearing      direction of the reflector - axis of the cone, a weak bound of the heading     1 per echo
     tie          n . point - offset, of a corner on a wall                                      1 per tie
     right angle  angle - nearest axis of the building, an unknown that is eliminated            1 per wall
-    surface      level - exp(-d / length) (level of the cell before, d inches before)           1 per level
+    surface      level - level of the cell before, or level alone where the surface changes     1 per level
     prior        parameters, and the first pose, which fixes the frame
 
-Levels have standard deviation std and correlation exp(-d / length), as in `localization/filters/surface.py`: given the
-cell before, that of the next one is independent of all others (a Markov chain), and its variance is
-std^2 (1 - exp(-2 d / length)).
+Surfaces are those of `localization/filters/surface.py`: a level is drawn from N(0, std^2), stays for an exponentially
+distributed length, and is then drawn anew, so that it changes within d inches with probability 1 - exp(-d / length).
+Where levels change is chosen with the association of the echoes, by the most probable stretches (association.py).
 
 Ranges have outliers: their squares are replaced by the Geman-McClure function c^2 r^2 / (c^2 + r^2), solved by
 iteratively reweighted least squares. An echo that no reflector explains costs c^2.
@@ -26,7 +26,7 @@ References
 Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): walls and corners as a cone measures
 them. Dellaert, Kaess, Square Root SAM (2006): mapping as least squares over the trajectory. Barron, A General and
 Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2. Papoulis, Probability, Random Variables, and Stochastic
-Processes (1991), section 10.1: exponential correlation.
+Processes (1991), section 10.1: the random telegraph signal.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ NO_LEVEL: Final = -1
 """Level of an echo that is of no wall, or of a plane."""
 LEVEL_CELL_IN: Final = 2.0 * SPOT_REACH_IN
 """4 in of a wall have one level: a sixth of the mean length of a level, so that few cells have two of them."""
+SAME_LEVEL_STD_IN: Final = 0.15
+"""Standard deviation of a level from the one before where the surface does not change: plaster is no plane."""
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""
@@ -122,12 +124,15 @@ class Levels:
         (l,) the levels, towards the normal of the wall.
     var_in2
         (l,) their variances, given the levels before them, for the gate of echoes.
+    is_new
+        (l,) True where the surface changes to another level; elsewhere it stays within SAME_LEVEL_STD_IN of the last.
     """
 
     wall: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     cell: Indices = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     value_in: Floats = field(default_factory=lambda: np.empty(0))
     var_in2: Floats = field(default_factory=lambda: np.empty(0))
+    is_new: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __len__(self) -> int:
         """Return their number."""
@@ -135,7 +140,7 @@ class Levels:
 
     def some(self, at: npt.NDArray[np.bool_]) -> Levels:
         """Return some of them (l,)."""
-        return Levels(self.wall[at], self.cell[at], self.value_in[at], self.var_in2[at])
+        return Levels(self.wall[at], self.cell[at], self.value_in[at], self.var_in2[at], self.is_new[at])
 
     def of(self, wall: int) -> slice:
         """Return the rows of a wall."""
@@ -466,19 +471,23 @@ class MapProblem:
 
     def level_residuals(self, levels: Levels) -> tuple[Floats, Floats, Floats]:
         """Return the residuals (l,) of the surface, and their derivatives by each level and by the one before."""
+        is_same = self.level_stays(levels)
+        scale = np.where(is_same, 1.0 / SAME_LEVEL_STD_IN, 1.0 / self.reflection.surface_std_in)
+        residual = scale * (levels.value_in - is_same * np.concatenate(([0.0], levels.value_in[:-1])))
+        return residual, scale, np.where(is_same, -scale, 0.0)
+
+    def level_stays(self, levels: Levels) -> npt.NDArray[np.bool_]:
+        """Return True (l,) for levels that are those before them."""
         is_next = np.zeros(len(levels), dtype=np.bool_)
         is_next[1:] = levels.wall[1:] == levels.wall[:-1]
-        before_in = LEVEL_CELL_IN * np.diff(levels.cell, prepend=0)
-        a = np.where(is_next, self.reflection.correlation(before_in), 0.0)
-        scale = 1.0 / (self.reflection.surface_std_in * np.sqrt(1.0 - a * a))
-        residual = scale * (levels.value_in - a * np.concatenate(([0.0], levels.value_in[:-1])))
-        return residual, scale, -a * scale
+        return np.asarray(is_next & ~levels.is_new, dtype=np.bool_)
 
     def level_penalties(self, levels: Levels, assignment: Assignment) -> Floats:
-        """Return the cost (l,) of the choice of each level: twice the logarithm of how much its echoes narrow it.
+        """Return the cost (l,) of the choice of each level.
 
-        With n echoes of variance R and the prior variance v, given the level before, that is ln(1 + n v / R). Without
-        it a wall with many levels would explain any echoes near it.
+        Twice the negative logarithm of the probability that the surface changes there, or does not; and twice the
+        logarithm of how much the echoes of the level narrow it. With n echoes of variance R and the prior variance v
+        that is ln(1 + n v / R). Without it a wall with many levels would explain any echoes near it.
 
         References
         ----------
@@ -486,7 +495,34 @@ class MapProblem:
         """
         if not len(levels):
             return np.zeros(0)
-        return np.log1p(self.level_information(levels, assignment) / np.square(self.level_residuals(levels)[1]))
+        is_first = np.ones(len(levels), dtype=np.bool_)
+        is_first[1:] = levels.wall[1:] != levels.wall[:-1]
+        stays = self.reflection.correlation(LEVEL_CELL_IN * np.diff(levels.cell, prepend=0))
+        chosen = np.where(is_first, 1.0, np.where(levels.is_new, 1.0 - stays, stays))
+        prior = np.square(self.level_residuals(levels)[1])
+        return np.log1p(self.level_information(levels, assignment) / prior) - 2.0 * np.log(chosen)
+
+    def level_variances(self, levels: Levels, assignment: Assignment) -> Floats:
+        """Return the variances (l,) of the levels: of each stretch by all its echoes, and between these the surface's.
+
+        A cell without echoes is of the level beside it unless the surface has changed since; between two cells of one
+        level it has changed twice then.
+        """
+        rows, begins = np.arange(len(levels)), ~self.level_stays(levels)
+        stretch, information = np.cumsum(begins) - 1, self.level_information(levels, assignment)
+        first = np.flatnonzero(begins)
+        last = np.append(first[1:], len(levels))[stretch] - 1
+        # 1. The nearest cells with echoes of the same stretch, before and after.
+        has_echoes = information > 0.0
+        before = np.maximum.accumulate(np.where(has_echoes, rows, -1))
+        after = np.minimum.accumulate(np.where(has_echoes, rows, len(levels))[::-1])[::-1]
+        changes = np.ones(len(levels))
+        for away, is_of_it in ((rows - before, before >= first[stretch]), (after - rows, after <= last)):
+            changes *= np.where(is_of_it, 1.0 - self.reflection.correlation(np.asarray(LEVEL_CELL_IN * away)), 1.0)
+        # 2. A level that is drawn anew has the variance of all.
+        known = np.bincount(stretch, information, minlength=len(first))[stretch] + self.reflection.surface_std_in**-2
+        variances: Floats = (1.0 - changes) / known + changes * self.reflection.surface_std_in**2
+        return variances
 
     def level_information(self, levels: Levels, assignment: Assignment) -> Floats:
         """Return the sum (l,) of the inverse variances of the echoes of each level."""

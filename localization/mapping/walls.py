@@ -328,18 +328,18 @@ def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
 
         angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c),   w_c = 1 / (var_c + SPOT_STD_IN^2)
 
-    A cell weighs by the variance of its level, given the one before: a single echo for half of many, a cell between
-    others that no echo has measured for a sixth. The straight line that fits the levels best would be slanted where a
-    door stands back at one end, by degrees, and all walls beside it would not meet at right angles. The derivatives are
-    those by the wall's own angle and offset, and by all l levels, with the weights as they are; of a plane those of the
-    line itself.
+    A cell weighs by the variance of its level: one between two of the same level as much as these. The straight line
+    that fits the levels best would be slanted where a door stands back at one end, by degrees, and all walls beside it
+    would not meet at right angles. The derivatives are those by the wall's own angle and offset, and by all l levels,
+    with the weights as they are; of a plane those of the line itself.
     """
     walls, levels = estimate.state.walls, estimate.state.levels
     lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
     by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
+    variances = estimate.problem.level_variances(levels, estimate.assignment) if len(levels) else levels.var_in2
     for number in np.unique(levels.wall).tolist():
         own = levels.of(number)
-        weight = 1.0 / (levels.var_in2[own] + SPOT_STD_IN**2)
+        weight = 1.0 / (variances[own] + SPOT_STD_IN**2)
         weight /= weight.sum()
         lines[number, 1] += weight @ levels.value_in[own]
         by_unknowns[number, 1, WALL + own.start : WALL + own.stop] = weight
@@ -712,11 +712,12 @@ def _add_surfaces(estimate: MapEstimate, pieces: list[Piece]) -> None:
     """Add the measured spots of their surfaces to the pieces: the middles of cells whose levels have echoes."""
     levels, echoes = estimate.state.levels, estimate.assignment.level
     counts = np.bincount(echoes[echoes != NO_LEVEL], minlength=len(levels))
+    stds = np.sqrt(estimate.problem.level_variances(levels, estimate.assignment)) if len(levels) else levels.var_in2
     for piece in pieces:
         own = levels.of(piece.line)
         at = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
         is_of_piece = (at > piece.low - SPOT_REACH_IN) & (at < piece.high + SPOT_REACH_IN) & (counts[own] > 0)
-        spots = np.column_stack((estimate.state.surface(piece.line), np.sqrt(levels.var_in2[own])))
+        spots = np.column_stack((estimate.state.surface(piece.line), stds[own]))
         piece.surface = spots[is_of_piece]
 
 

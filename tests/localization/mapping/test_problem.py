@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
@@ -18,6 +19,7 @@ from localization.mapping.problem import (
     LEVEL_CELL_IN,
     NO_FEATURE,
     NO_LEVEL,
+    SAME_LEVEL_STD_IN,
     Assignment,
     Levels,
     MapProblem,
@@ -208,7 +210,8 @@ def with_levels(state: MapState, assignment: Assignment, seed: int) -> tuple[Map
     """Return the state with levels of two walls, one with a gap, and an arbitrary one of its wall for each echo."""
     rng = np.random.default_rng(seed)
     wall, cell = np.array([1, 1, 1, 3, 3, 3, 3]), np.array([-2, -1, 3, 0, 1, 2, 3])
-    levels = Levels(wall, cell, 1.6 * rng.normal(size=len(wall)), np.zeros(len(wall)))
+    is_new = np.array([False, False, True, False, True, False, False])
+    levels = Levels(wall, cell, 1.6 * rng.normal(size=len(wall)), np.zeros(len(wall)), is_new)
     level = np.full(len(assignment.feature), NO_LEVEL)
     for number in (1, 3):
         own = np.flatnonzero(assignment.feature == number)
@@ -230,13 +233,26 @@ def test_derivatives_by_levels_are_those_of_difference_quotients(trajectory: Tra
     assert problem.cost(problem.optimize(state, assignment, 5), assignment) < problem.cost(state, assignment)
 
 
-def test_prior_of_levels_is_that_of_exponential_correlation(trajectory: Trajectory) -> None:
+def test_prior_of_levels_is_that_of_a_surface_that_stays_or_changes(trajectory: Trajectory) -> None:
+    """Oracle: scipy's normal densities, and the probability that an exponentially distributed length ends."""
     problem = MapProblem(trajectory, 16, reflection=SURFACE)
-    levels = with_levels(*perturbed(trajectory, 6), 6)[0].levels
-    apart = np.abs(levels.cell[:, None] - levels.cell) * LEVEL_CELL_IN
-    C = np.where(levels.wall[:, None] == levels.wall, 1.6**2 * np.exp(-apart / 24.0), 0.0)
-    expected = levels.value_in @ np.linalg.solve(C, levels.value_in)
-    assert np.square(problem.level_residuals(levels)[0]).sum() == pytest.approx(expected)
+    state, assignment = with_levels(*perturbed(trajectory, 6), 6)
+    nothing = replace(assignment, level=np.full(len(assignment.level), NO_LEVEL))
+    stay = np.exp(-LEVEL_CELL_IN / 24.0)
+
+    def cost(levels: Levels) -> float:
+        residuals, penalties = problem.level_residuals(levels)[0], problem.level_penalties(levels, nothing)
+        return float(np.square(residuals).sum() + penalties.sum())
+
+    b = state.levels.value_in
+    is_same = [False, True, False, False, False, True, True]
+    densities = [
+        norm.logpdf(b[k], b[k - 1], SAME_LEVEL_STD_IN) - norm.logpdf(0.0, 0.0, SAME_LEVEL_STD_IN) if same
+        else norm.logpdf(b[k], 0.0, 1.6) - norm.logpdf(0.0, 0.0, 1.6) for k, same in enumerate(is_same)
+    ]  # fmt: skip
+    # Four inches to the next cell, and sixteen to the one after a gap.
+    choices = 3.0 * np.log(stay) + np.log(1.0 - stay) + np.log(1.0 - stay**4)
+    assert cost(state.levels) == pytest.approx(-2.0 * (sum(densities) + choices))
 
 
 @pytest.mark.parametrize("echoes", [1, 5, 40])
@@ -250,14 +266,31 @@ def test_penalty_of_a_level_is_what_its_probability_lacks(trajectory: Trajectory
     evidence = z @ np.linalg.solve(C, z) + np.linalg.slogdet(C)[1] - np.log(R).sum()
     # By the most likely level instead.
     b = (z / R).sum() / ((1.0 / R).sum() + 1.6**-2)
-    levels = Levels(np.array([0]), np.array([3]), np.array([b]), np.zeros(1))
+    levels = Levels(np.array([0]), np.array([3]), np.array([b]), np.zeros(1), np.array([False]))
     penalty = problem.level_penalties(levels, Assignment(np.zeros(len(level), dtype=np.intp), level=level))
     cost = (np.square(z - b) / R).sum() + np.square(problem.level_residuals(levels)[0]).sum()
     assert cost + penalty.sum() == pytest.approx(evidence)
 
 
+def test_variance_of_a_level_is_that_of_its_stretch(trajectory: Trajectory) -> None:
+    """Oracle: the variance of a mean; the surface's own where no echo says that it has not changed."""
+    problem = MapProblem(trajectory, 16, reflection=SURFACE)
+    is_new = np.array([False, False, False, True, False, False])
+    levels = Levels(np.array([0, 0, 0, 0, 0, 1]), np.array([0, 1, 2, 3, 4, 0]), np.zeros(6), np.zeros(6), is_new)
+    level = np.full(len(trajectory.node), NO_LEVEL)
+    level[:7] = 0, 0, 2, 2, 2, 3, 3
+    R = np.square(trajectory.std_in)
+    variances = problem.level_variances(levels, Assignment(np.zeros(len(level), dtype=np.intp), level=level))
+    first, second = (1.0 / (1.6**-2 + (1.0 / R[of]).sum()) for of in (slice(0, 5), slice(5, 7)))
+    once = 1.0 - np.exp(-LEVEL_CELL_IN / 24.0)
+    expected = [first, once**2 * 1.6**2 + (1.0 - once**2) * first, first, second,
+                once * 1.6**2 + (1.0 - once) * second, 1.6**2]  # fmt: skip
+    np.testing.assert_allclose(variances, expected)
+
+
 def test_nearest_level_is_that_of_the_nearest_cell_of_the_wall() -> None:
-    levels = Levels(np.array([0, 0, 2, 2, 2]), np.array([-3, 4, -1, 0, 5]), np.arange(5.0), np.zeros(5))
+    levels = Levels(np.array([0, 0, 2, 2, 2]), np.array([-3, 4, -1, 0, 5]), np.arange(5.0), np.zeros(5),
+                    np.zeros(5, dtype=np.bool_))  # fmt: skip
     rng = np.random.default_rng(7)
     walls, feet = rng.integers(0, 4, size=(50, 4)), rng.uniform(-40.0, 40.0, size=(50, 4))
     rows, away = levels.nearest(walls, feet)

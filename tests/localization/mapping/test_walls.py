@@ -390,16 +390,18 @@ def with_surface(estimate: MapEstimate, seed: int) -> MapEstimate:
     """Return the map with levels of its first two walls, the second one's a single cell."""
     rng = np.random.default_rng(seed)
     found, cells = estimate.copy(), np.array([*range(-6, 9), 3])
-    levels = Levels(np.array([0] * 15 + [1]), cells, 1.6 * rng.normal(size=16), np.zeros(16))
+    levels = Levels(np.array([0] * 15 + [1]), cells, 1.6 * rng.normal(size=16), np.zeros(16), rng.random(16) < 0.3)
     found.state = replace(found.state, levels=levels)
     return found
 
 
-def test_line_of_a_surface_has_the_mean_level_of_its_cells(estimate: MapEstimate) -> None:
+def test_line_of_a_surface_has_the_mean_level_of_its_cells(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: numpy's weighted average, and the distances of the levels from a wall in the same direction."""
     found = with_surface(estimate, 3)
     variances = np.random.default_rng(5).uniform(0.0, 1.0, 16)
-    found.state = replace(found.state, levels=replace(found.state.levels, var_in2=variances))
+    monkeypatch.setattr(MapProblem, "level_variances", lambda *_: variances)
     lines, _ = surface_lines(found)
     state = found.state
     for number, count in ((0, 15), (1, 1)):
@@ -410,14 +412,16 @@ def test_line_of_a_surface_has_the_mean_level_of_its_cells(estimate: MapEstimate
     np.testing.assert_array_equal(lines[2:], state.walls[2:])
 
 
-def test_measured_spots_of_a_surface_are_part_of_the_map(estimate: MapEstimate) -> None:
+def test_measured_spots_of_a_surface_are_part_of_the_map(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: each spot is a level beside the plane of its wall, in the middle of a cell that echoes measured."""
     found = with_surface(with_levels(estimate), 3)
     measured = np.arange(2, 9)
     level = np.full(len(found.assignment.feature), NO_LEVEL)
     level[: len(measured)] = measured
     found.assignment = replace(found.assignment, level=level)
-    found.state = replace(found.state, levels=replace(found.state.levels, var_in2=np.full(16, 0.09)))
+    monkeypatch.setattr(MapProblem, "level_variances", lambda *_: np.full(16, 0.09))
     angle, offset = found.state.walls[0]
     n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
     pieces = [piece for piece in extract_walls(found) if piece.line == 0]

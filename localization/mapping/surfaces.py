@@ -1,0 +1,108 @@
+"""The surfaces of walls: where along a wall its level changes.
+
+A surface stays at a level for some length and is then drawn anew (problem.py). Of all ways to divide the cells of a
+wall into stretches, each of one level b ~ N(0, std^2), the most probable one has the least sum of
+
+    stretch    sum(w_c (z_c - b)^2) + b^2 / std^2, at its best b     w_c, z_c: information and median of a cell's echoes
+               + ln(1 + std^2 sum(w_c))                              how much they narrow the level
+    border     -2 ln(p) where the level changes, -2 ln(1 - p) where it stays
+
+By dynamic programming: the best division of the first n cells is that of the first m, and one stretch more. The levels
+start at those of the stretches, and are then unknowns of the map.
+
+References
+----------
+Jackson et al., An Algorithm for Optimal Partitioning of Data on an Interval (2005). MacKay, Information Theory,
+Inference, and Learning Algorithms (2003), section 28.1: how much echoes narrow a level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import log
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import Floats
+from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Assignment, Levels, MapProblem, MapState
+
+
+def divided(
+    problem: MapProblem, state: MapState, assignment: Assignment, is_known: npt.NDArray[np.bool_]
+) -> Levels:
+    """Return the levels of a state divided into the most probable stretches.
+
+    Walls that are divided as before keep their levels, unless cells are not known (l,) yet.
+    """
+    levels, reflection = state.levels, problem.reflection
+    medians, information = _medians(problem, state, assignment), problem.level_information(levels, assignment)
+    values, is_new = levels.value_in.copy(), levels.is_new.copy()
+    changes = 1.0 - float(reflection.correlation(np.array(LEVEL_CELL_IN)))
+    for wall in np.unique(levels.wall).tolist():
+        own = levels.of(wall)
+        begins, found = stretches(medians[own], information[own], reflection.surface_std_in, changes)
+        if not np.array_equal(begins, levels.is_new[own]) or not is_known[own].all():
+            values[own], is_new[own] = found, begins
+    return replace(levels, value_in=values, is_new=is_new)
+
+
+def _medians(problem: MapProblem, state: MapState, assignment: Assignment) -> Floats:
+    """Return the median (l,) of the levels that the echoes of each cell say; 0 for cells without echoes."""
+    levels, echoes = state.levels, np.flatnonzero(assignment.level != NO_LEVEL)
+    sensors, prediction = problem.predict(state, assignment, echoes)
+    level = assignment.level[echoes]
+    # A wall that stands out by an inch more is an inch nearer, or farther off from behind.
+    values = levels.value_in[level] + (sensors.range_in - prediction.range_in) * prediction.by_feature[:, 1]
+    values = values[np.lexsort((values, level))]
+    counts = np.bincount(level, minlength=len(levels))
+    first, has_echoes = np.cumsum(counts) - counts, counts > 0
+    medians = np.zeros(len(levels))
+    low, high = first + (counts - 1) // 2, first + counts // 2
+    medians[has_echoes] = 0.5 * (values[low[has_echoes]] + values[high[has_echoes]])
+    return medians
+
+
+def stretches(
+    values: Floats, information: Floats, std: float, changes: float
+) -> tuple[npt.NDArray[np.bool_], Floats]:
+    """Return where stretches of one level begin (l,), but the first of them, and the level (l,) of each cell.
+
+    Parameters
+    ----------
+    values, information
+        (l,) what the echoes of each cell say, and the inverse of its variance.
+    std
+        Prior standard deviation of levels.
+    changes
+        Probability of a change from one cell to the next.
+    """
+    count = len(values)
+    sums = np.zeros((3, count + 1))
+    np.cumsum((information, information * values, information * values**2), axis=1, out=sums[:, 1:])
+    best, start, firsts = np.zeros(count + 1), np.zeros(count + 1, dtype=np.intp), np.arange(count)
+    borders = np.where(firsts > 0, -2.0 * log(changes), 0.0) + 2.0 * log(1.0 - changes) * firsts
+    # 1. The best division of the cells before each end, by the first cell of its last stretch.
+    for end in range(1, count + 1):
+        w, wz, wzz = sums[:, end : end + 1] - sums[:, :end]
+        cost = best[:end] + wzz - wz**2 / (w + std**-2) + np.log1p(w * std**2)
+        cost += borders[:end] - 2.0 * log(1.0 - changes) * (end - 1)
+        start[end] = cost.argmin()
+        best[end] = cost[start[end]]
+    # 2. Its stretches, the last one first.
+    begins, levels, end = np.zeros(count, dtype=np.bool_), np.zeros(count), count
+    while end:
+        first = int(start[end])
+        w, wz, _ = sums[:, end] - sums[:, first]
+        levels[first:end], begins[first], end = wz / (w + std**-2), first > 0, first
+    return begins, levels
+
+
+def gate_variances(problem: MapProblem, levels: Levels, assignment: Assignment) -> Floats:
+    """Return the variances (l,) of the levels by their own echoes, given those before, from which they may differ."""
+    reflection, is_next = problem.reflection, np.zeros(len(levels), dtype=np.bool_)
+    is_next[1:] = levels.wall[1:] == levels.wall[:-1]
+    a = np.where(is_next, reflection.correlation(np.array(LEVEL_CELL_IN)), 0.0)
+    prior = 1.0 / (reflection.surface_std_in**2 * (1.0 - a * a))
+    variances: Floats = 1.0 / (prior + problem.level_information(levels, assignment))
+    return variances

@@ -1,0 +1,103 @@
+"""Where the surface of a wall changes to another level."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from localization.filters.belief import Floats
+from localization.mapping.association import MapEstimate
+from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Levels, MapProblem, Reflection
+from localization.mapping.surfaces import divided, gate_variances, stretches
+
+STD_IN, LENGTH_IN = 1.6, 24.0
+CHANGES = 1.0 - float(np.exp(-LEVEL_CELL_IN / LENGTH_IN))
+
+
+def negative_log_evidence(values: Floats, variances: Floats, begins: tuple[bool, ...]) -> float:
+    """Return twice the negative logarithm of the density of readings of all cells, and of how the levels change."""
+    starts = [0, *(k for k, new in enumerate(begins, start=1) if new), len(values)]
+    total = -2.0 * sum(np.log(CHANGES if new else 1.0 - CHANGES) for new in begins)
+    for first, end in pairwise(starts):
+        own = np.flatnonzero(np.isfinite(variances[first:end])) + first
+        if len(own):
+            covariance = np.diag(variances[own]) + STD_IN**2
+            total -= 2.0 * multivariate_normal.logpdf(values[own], np.zeros(len(own)), covariance)
+    return float(total)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_stretches_are_the_most_probable_ones_of_all(seed: int) -> None:
+    """Oracle: scipy's normal densities of all 128 divisions of eight cells, some of which have no echo."""
+    rng = np.random.default_rng(seed)
+    truth = STD_IN * np.repeat(rng.normal(size=3), (3, 2, 3))
+    variances = rng.uniform(0.02, 0.3, 8)
+    variances[rng.random(8) < 0.3] = np.inf
+    values = truth + rng.normal(size=8) * np.sqrt(np.where(np.isfinite(variances), variances, 0.0))
+    begins, levels = stretches(np.where(np.isfinite(variances), values, 0.0), 1.0 / variances, STD_IN, CHANGES)
+    costs = {way: negative_log_evidence(values, variances, way) for way in product((False, True), repeat=7)}
+    assert not begins[0]
+    assert costs[tuple(begins[1:].tolist())] == pytest.approx(min(costs.values()))
+    # Each level is the mean of its stretch, drawn towards 0 by the prior.
+    starts = [0, *np.flatnonzero(begins).tolist(), 8]
+    for first, end in pairwise(starts):
+        w = 1.0 / variances[first:end]
+        np.testing.assert_allclose(levels[first:end], (w @ np.nan_to_num(values[first:end])) / (w.sum() + STD_IN**-2))
+
+
+def test_one_level_is_no_change() -> None:
+    begins, levels = stretches(np.full(6, 0.8), np.full(6, 10.0), STD_IN, CHANGES)
+    assert not begins.any()
+    np.testing.assert_allclose(levels, 0.8 * 60.0 / (60.0 + STD_IN**-2))
+
+
+def test_levels_are_divided_where_the_echoes_of_a_wall_step(estimate: MapEstimate) -> None:
+    """A part of one wall of a room that stands out by 3 in: its echoes are as much shorter."""
+    problem = estimate.problem
+    reflection = Reflection(problem.reflection.half_cone_rad, STD_IN, LENGTH_IN)
+    made = replace(estimate, problem=MapProblem(problem.trajectory, 16, reflection=reflection))
+    made.associate()
+    levels, own = made.state.levels, made.state.levels.of(0)
+    assert not levels.is_new.any()
+    assert np.abs(levels.value_in).max() < 1.0
+    # 1. The readings of the first third of its cells.
+    cells = np.arange(own.start, own.start + (own.stop - own.start) // 3)
+    stands_out = np.isin(made.assignment.level, cells)
+    trajectory = problem.trajectory
+    shorter = replace(trajectory, readings_in=trajectory.readings_in - 3.0 * stands_out)
+    stepped = replace(made, problem=made.problem.with_trajectory(shorter))
+    found = divided(stepped.problem, stepped.state, stepped.assignment, np.ones(len(levels), dtype=np.bool_))
+    assert np.flatnonzero(found.is_new).tolist() == [cells[-1] + 1]
+    step = np.median(found.value_in[cells]) - np.median(found.value_in[cells[-1] + 1 : own.stop])
+    # Towards the normal, which points away from the room or into it.
+    assert abs(step) == pytest.approx(3.0, abs=0.4)
+    assert np.sign(step) == estimate.sides[0]
+    # 2. Other walls keep their levels, and a wall that is divided as before keeps its own.
+    np.testing.assert_array_equal(found.value_in[own.stop :], levels.value_in[own.stop :])
+    moved = replace(found, value_in=found.value_in + 0.1)
+    kept = divided(stepped.problem, replace(stepped.state, levels=moved), stepped.assignment,
+                   np.ones(len(levels), dtype=np.bool_))  # fmt: skip
+    np.testing.assert_array_equal(kept.value_in, moved.value_in)
+    # Unless a part of it was not known before.
+    unknown = divided(stepped.problem, replace(stepped.state, levels=moved), stepped.assignment,
+                      np.arange(len(levels)) != own.start)  # fmt: skip
+    np.testing.assert_allclose(unknown.value_in[own], found.value_in[own], atol=0.01)
+
+
+def test_gate_is_as_wide_as_a_level_may_have_changed(estimate: MapEstimate) -> None:
+    """Oracle: the conditional variance of a normal pair of correlation exp(-d / length)."""
+    problem = MapProblem(estimate.problem.trajectory, 16, reflection=Reflection(0.4, STD_IN, LENGTH_IN))
+    levels = Levels(np.array([0, 0]), np.array([0, 1]), np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.bool_))
+    level = np.full(len(estimate.assignment.feature), NO_LEVEL)
+    C = STD_IN**2 * np.array(((1.0, 1.0 - CHANGES), (1.0 - CHANGES, 1.0)))
+    given = C[1, 1] - C[1, 0] ** 2 / C[0, 0]
+    found = gate_variances(problem, levels, replace(estimate.assignment, level=level))
+    np.testing.assert_allclose(found, (STD_IN**2, given))
+    level[:3] = 1
+    R = np.square(problem.trajectory.std_in[:3])
+    found = gate_variances(problem, levels, replace(estimate.assignment, level=level))
+    np.testing.assert_allclose(found, (STD_IN**2, 1.0 / (1.0 / given + (1.0 / R).sum())))
