@@ -17,10 +17,10 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.mapping import walls
 from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
-from localization.mapping.features import FreeEchoes, _decide, _fit
+from localization.mapping.features import FRONT, FreeEchoes, _decide, _fit
 from localization.mapping.learn import MapLearner, _cost_by_readings, learn_map
 from localization.mapping.measurements import DriveLog
-from localization.mapping.merging import _may_be_faces, _merged, _thickness, merge, split
+from localization.mapping.merging import _may_be_faces, _merged, _thickness, merge, open_faces, split
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, Sensors
 from localization.mapping.revision import drop_hidden, drop_unmeasured
@@ -367,7 +367,19 @@ def test_faces_become_one_wall_where_their_distance_is_known(thickness_in: float
     inside = np.flatnonzero(np.abs(middles - (35.0, 25.0)).max(axis=1) < 10.0)
     assert len(inside) == lines
     if lines == 1:
+        # As if it had been measured from one side first: echoes from the other one, and posts behind it, are lost.
+        (number,) = inside.tolist()
+        assert not estimate.sides[number]
+        face = estimate.copy()
+        face.sides = np.where(np.arange(len(middles)) == number, FRONT, face.sides)
+        face.associate()
+        assert face.sides[number] == FRONT
+        assert face.cost > estimate.cost + 20.0
+        assert open_faces(face) == 1
+        assert not face.sides[number]
+        assert face.cost < estimate.cost + 5.0
         return
+    assert open_faces(estimate.copy()) == 0
     # The thickness and its deviation: differences of the offsets, and the covariance of all unknowns.
     one, other = inside.tolist()
     information, _ = estimate.problem.normal_equations(estimate.state, estimate.assignment).reduced()
