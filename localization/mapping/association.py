@@ -199,7 +199,7 @@ class MapEstimate:
 
     def optimize(self, iterations: int = 4, *, robust: bool = True) -> None:
         """Optimize everything for the present assignment."""
-        self._measure_levels()
+        self.measure_levels()
         problem = self.problem if robust else self.problem.plain
         self.state = problem.optimize(self.state, self.assignment, iterations)
 
@@ -210,9 +210,9 @@ class MapEstimate:
         feature[echoes], _ = assign(self, echoes)
         self.assignment = replace(self.assignment, feature=feature)
         self.measure_extents()
-        self._measure_levels()
+        self.measure_levels()
 
-    def _measure_levels(self) -> None:
+    def measure_levels(self) -> None:
         """Give each wall the levels of the part that its echoes show, and each of these echoes its level.
 
         A cell that is new has the expected value of its level, given that of the nearest one.
@@ -387,7 +387,7 @@ class MapEstimate:
             self.state = replace(state, points=np.delete(state.points, removed - walls, axis=0))
         # Ties are found again when they are needed.
         self.assignment = Assignment(feature)
-        self._measure_levels()
+        self.measure_levels()
 
 
 def _end_points(points: Floats, low: float, high: float) -> tuple[float, float]:

@@ -41,6 +41,7 @@ from localization.mapping.revision import (
     square,
     swallow,
     tie_points,
+    trim_surfaces,
 )
 
 NODES_PER_ROUND: Final = 16
@@ -157,6 +158,7 @@ class MapLearner:
             tie_points(self.estimate)
         split_surfaces(self.estimate)
         close_wall_ends(self.estimate)
+        trim_surfaces(self.estimate)
 
 
 def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:

@@ -55,6 +55,7 @@ from localization.mapping.spans import (
     walls_along,
 )
 from localization.mapping.walls import REACH_IN, extract_walls, free_paths, unpassed_gaps
+from worlds.world import SPOT_REACH_IN
 
 LAST_STEPS: Final = 10
 MAX_TURN_RAD: Final = radians(15.0)
@@ -255,6 +256,30 @@ def drop_unmeasured(estimate: MapEstimate) -> int:
         estimate.remove(number)
         dropped += 1
     return dropped
+
+
+def trim_surfaces(estimate: MapEstimate) -> int:
+    """Leave out the echoes of walls with levels from where there is no wall in the end, and return their number.
+
+    A line is continued by echoes that are of no other wall, beyond a corner or a post that ends the wall. The mean of
+    its levels is that of the wall without them.
+    """
+    if not estimate.surface_in:
+        return 0
+    pieces = extract_walls(estimate, with_accuracy=False)
+    feature, walls = estimate.assignment.feature.copy(), estimate.state.walls
+    for wall in range(len(walls)):
+        echoes, parts = estimate.echoes_of(wall), [piece for piece in pieces if piece.line == wall]
+        if not parts or not len(echoes):
+            continue
+        _, _, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        feet = spots[:, wall] @ np.array((-np.sin(walls[wall, 0]), np.cos(walls[wall, 0])))
+        within = [(feet > part.low - SPOT_REACH_IN) & (feet < part.high + SPOT_REACH_IN) for part in parts]
+        feature[echoes[~np.any(within, axis=0)]] = NO_FEATURE
+    trimmed = int((feature != estimate.assignment.feature).sum())
+    estimate.assignment = replace(estimate.assignment, feature=feature)
+    estimate.measure_levels()
+    return trimmed
 
 
 def swallow(estimate: MapEstimate) -> int:

@@ -10,9 +10,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from localization.filters.belief import Floats
+from localization.mapping import revision
 from localization.mapping.association import MapEstimate
-from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Levels, MapProblem, Reflection
+from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, NO_LEVEL, Levels, MapProblem, Reflection, sensors_at
+from localization.mapping.revision import trim_surfaces
 from localization.mapping.surfaces import divided, gate_variances, stretches
+from localization.mapping.walls import extract_walls
 
 STD_IN, LENGTH_IN = 1.6, 24.0
 CHANGES = 1.0 - float(np.exp(-LEVEL_CELL_IN / LENGTH_IN))
@@ -101,3 +104,31 @@ def test_gate_is_as_wide_as_a_level_may_have_changed(estimate: MapEstimate) -> N
     R = np.square(problem.trajectory.std_in[:3])
     found = gate_variances(problem, levels, replace(estimate.assignment, level=level))
     np.testing.assert_allclose(found, (STD_IN**2, 1.0 / (1.0 / given + (1.0 / R).sum())))
+
+
+def test_echoes_from_where_a_line_has_no_wall_are_left_out(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the feet of the perpendiculars from the sonars to the line of a wall of which half is none."""
+    problem = estimate.problem
+    assert trim_surfaces(estimate.copy()) == 0
+    reflection = Reflection(problem.reflection.half_cone_rad, STD_IN, LENGTH_IN)
+    made = replace(estimate, problem=MapProblem(problem.trajectory, 16, reflection=reflection))
+    made.associate()
+    pieces = extract_walls(made, with_accuracy=False)
+    (piece,) = (piece for piece in pieces if piece.line == 0)
+    half = replace(piece, high=0.5 * (piece.low + piece.high))
+    monkeypatch.setattr(revision, "extract_walls", lambda *_, **__: [half])
+    echoes, angle = made.echoes_of(0), made.state.walls[0, 0]
+    sensors = sensors_at(made.state.poses, made.state.parameters, problem.trajectory, echoes)
+    feet = sensors.face @ (-np.sin(angle), np.cos(angle))
+    is_left_out = (feet < half.low - 0.5 * LEVEL_CELL_IN) | (feet > half.high + 0.5 * LEVEL_CELL_IN)
+    before = made.assignment.feature.copy()
+    assert trim_surfaces(made) == is_left_out.sum() > 20
+    after = made.assignment.feature
+    np.testing.assert_array_equal(after[echoes] == NO_FEATURE, is_left_out)
+    # Walls of which there is no piece at all stay as they are, and cells beyond the wall have no levels.
+    others = np.setdiff1d(np.arange(len(after)), echoes)
+    np.testing.assert_array_equal(after[others], before[others])
+    cells = made.state.levels.cell[made.state.levels.of(0)]
+    assert LEVEL_CELL_IN * cells.max() <= half.high + 0.5 * LEVEL_CELL_IN
