@@ -236,15 +236,15 @@ class MapEstimate:
             row, away_in = levels.nearest(wall, (cell + 0.5) * LEVEL_CELL_IN)
             away_in = np.where(away_in > 0.0, away_in + 0.5 * LEVEL_CELL_IN, 0.0)
             values = np.append(levels.value_in, 0.0)[row] * reflection.correlation(away_in)
-            is_known = away_in == 0.0
-            levels = Levels(wall, cell, values, np.zeros(len(wall)), np.append(levels.is_new, False)[row] & is_known)
+            had_level = away_in == 0.0
+            levels = Levels(wall, cell, values, np.zeros(len(wall)), np.append(levels.is_new, False)[row] & had_level)
         # 2. The level of each echo.
         level = np.full(len(feature), NO_LEVEL, dtype=np.intp)
         level[echoes], _ = levels.nearest(walls, feet)
         self.assignment = replace(self.assignment, level=level)
         # 3. Where the surface changes, and how well each level is known.
         if not self.problem.has_fixed_map:
-            levels = divided(self.problem, replace(self.state, levels=levels), self.assignment, is_known)
+            levels = divided(self.problem, replace(self.state, levels=levels), self.assignment, had_level)
             variances = gate_variances(self.problem, levels, self.assignment)
             self.state = replace(self.state, levels=replace(levels, var_in2=variances))
 

@@ -520,8 +520,8 @@ class MapProblem:
         for away, is_of_it in ((rows - before, before >= first[stretch]), (after - rows, after <= last)):
             changes *= np.where(is_of_it, 1.0 - self.reflection.correlation(np.asarray(LEVEL_CELL_IN * away)), 1.0)
         # 2. A level that is drawn anew has the variance of all.
-        known = np.bincount(stretch, information, minlength=len(first))[stretch] + self.reflection.surface_std_in**-2
-        variances: Floats = (1.0 - changes) / known + changes * self.reflection.surface_std_in**2
+        total = np.bincount(stretch, information, minlength=len(first))[stretch] + self.reflection.surface_std_in**-2
+        variances: Floats = (1.0 - changes) / total + changes * self.reflection.surface_std_in**2
         return variances
 
     def level_information(self, levels: Levels, assignment: Assignment) -> Floats:

@@ -320,26 +320,23 @@ def add_posts(estimate: MapEstimate) -> int:
     """
     if not estimate.surface_in or estimate.problem.rays:
         return 0
-    added, tried = 0, np.empty((0, 2))
-    while len(places := _post_places(estimate, tried)):
-        trial = estimate.copy()
-        for place in places:
-            trial = estimate.copy()
-            trial.add_point(place)
-            for _ in range(2):
-                trial.associate()
-                tie_points(trial)
-                trial.optimize(3)
-            trial.associate()
-            tie_points(trial)
-            tried = np.append(tried, place[None], axis=0)
-            if trial.cost < estimate.cost:
-                break
-        else:
-            break
+    added, tried = 0, list[Floats]()
+    while (trial := _with_post(estimate, tried)) is not None:
         estimate.replace_by(trial)
         added += 1
     return added
+
+
+def _with_post(estimate: MapEstimate, tried: list[Floats]) -> MapEstimate | None:
+    """Return the map with one point more that lowers the total cost, None if there is none; add what was tried."""
+    for place in _post_places(estimate, np.reshape(tried, (-1, 2))):
+        tried.append(place)
+        trial = estimate.copy()
+        trial.add_point(place)
+        _settle(trial)
+        if trial.cost < estimate.cost:
+            return trial
+    return None
 
 
 def _post_places(estimate: MapEstimate, tried: Floats) -> Floats:
@@ -354,9 +351,9 @@ def _post_places(estimate: MapEstimate, tried: Floats) -> Floats:
         if (corner := _corner_of(estimate, one, other)) is not None
     ]  # fmt: skip
     places = np.concatenate([*(state.surface(wall) for wall in range(len(state.walls))), np.reshape(corners, (-1, 2))])
-    known = np.concatenate((state.points, tried))
-    if len(known):
-        places = places[np.hypot(*(places[:, None] - known).transpose(2, 0, 1)).min(axis=1) > POST_APART_IN]
+    others = np.concatenate((state.points, tried))
+    if len(others):
+        places = places[np.hypot(*(places[:, None] - others).transpose(2, 0, 1)).min(axis=1) > POST_APART_IN]
     # 2. What echoes would cost less.
     echoes = estimate.echoes()
     alone = replace(state, walls=state.walls[:0], points=places, levels=Levels())
@@ -574,14 +571,18 @@ def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstima
         for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
             trial.remove(len(state.walls) + int(number))
     trial.add_wall(line, extent)
-    for _ in range(2):
-        trial.associate()
-        tie_points(trial)
-        trial.optimize(3)
-    # What it hides counts against it, by the extent that its echoes show at the end.
-    trial.associate()
-    tie_points(trial)
+    _settle(trial)
     return trial
+
+
+def _settle(estimate: MapEstimate) -> None:
+    """Optimize a map that has a feature more. What this hides counts against it, by the extents at the end."""
+    for _ in range(2):
+        estimate.associate()
+        tie_points(estimate)
+        estimate.optimize(3)
+    estimate.associate()
+    tie_points(estimate)
 
 
 def tie_points(estimate: MapEstimate) -> None:

@@ -1,7 +1,7 @@
 """The surfaces of walls: where along a wall its level changes.
 
-A surface stays at a level for some length and is then drawn anew (problem.py). Of all ways to divide the cells of a
-wall into stretches, each of one level b ~ N(0, std^2), the most probable one has the least sum of
+A surface stays at a level for some length and is then drawn anew (problem.py). Of all divisions of the cells of a wall
+into stretches, each of one level b ~ N(0, std^2), the most probable one has the least sum of
 
     stretch    sum(w_c (z_c - b)^2) + b^2 / std^2, at its best b     w_c, z_c: information and median of a cell's echoes
                + ln(1 + std^2 sum(w_c))                              how much they narrow the level
@@ -29,11 +29,11 @@ from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Assignment, Le
 
 
 def divided(
-    problem: MapProblem, state: MapState, assignment: Assignment, is_known: npt.NDArray[np.bool_]
+    problem: MapProblem, state: MapState, assignment: Assignment, had_level: npt.NDArray[np.bool_]
 ) -> Levels:
     """Return the levels of a state divided into the most probable stretches.
 
-    Walls that are divided as before keep their levels, unless cells are not known (l,) yet.
+    Walls that are divided as before have the same levels, unless they have cells that had none (l,).
     """
     levels, reflection = state.levels, problem.reflection
     medians, information = _medians(problem, state, assignment), problem.level_information(levels, assignment)
@@ -42,7 +42,7 @@ def divided(
     for wall in np.unique(levels.wall).tolist():
         own = levels.of(wall)
         begins, found = stretches(medians[own], information[own], reflection.surface_std_in, changes)
-        if not np.array_equal(begins, levels.is_new[own]) or not is_known[own].all():
+        if not np.array_equal(begins, levels.is_new[own]) or not had_level[own].all():
             values[own], is_new[own] = found, begins
     return replace(levels, value_in=values, is_new=is_new)
 
