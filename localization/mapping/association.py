@@ -92,9 +92,10 @@ MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_RUN_SPOTS: Final = 3
 """Spots without such a gap that make a part of a wall which blocks paths."""
-SIDED_ECHOES: Final = 4
-"""A wall that so many echoes have measured from one side, and fewer from the other one, is a face: nothing is assigned
-to it from its back, where the other face of a thick wall is."""
+SIDED_ECHOES, SIDED = 4, 0.8
+"""A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
+at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is. One
+with levels is none if so many echoes are from its back (`open_faces`)."""
 ALONE_SIGMAS: Final = 1.5
 """An echo of a wall that is nearer to the range of a point may be of the point."""
 MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
@@ -302,9 +303,9 @@ class MapEstimate:
             feet, signs, is_alone = self._feet_and_sides(wall, np.flatnonzero(feature == wall))
             order = np.argsort(feet, kind="stable")
             feet, is_alone = feet[order], is_alone[order]
-            behind, before = sorted(((signs < 0.0).sum(), (signs > 0.0).sum()))
-            if behind < SIDED_ECHOES <= before:
-                sides[wall] = np.sign(signs.sum())
+            is_sided = len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED
+            if is_sided and not (self.surface_in and _fewer_sign(signs) >= SIDED_ECHOES):
+                sides[wall] = np.sign(signs.mean())
             if len(feet) > 3:
                 points = self._points_along(wall)
                 feet = np.clip(feet, *_end_points(points, feet[1], feet[-2]))
@@ -388,6 +389,11 @@ class MapEstimate:
         # Ties are found again when they are needed.
         self.assignment = Assignment(feature)
         self.measure_levels()
+
+
+def _fewer_sign(signs: Floats) -> int:
+    """Return the number of those of the rarer sign."""
+    return int(min((signs < 0.0).sum(), (signs > 0.0).sum()))
 
 
 def _end_points(points: Floats, low: float, high: float) -> tuple[float, float]:

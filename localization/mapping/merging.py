@@ -21,9 +21,16 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.association import MIN_THICKNESS_IN, MapEstimate, residual_matrix, segments_of
+from localization.mapping.association import (
+    MIN_THICKNESS_IN,
+    SIDED,
+    MapEstimate,
+    residual_matrix,
+    segments_of,
+    sides_of,
+)
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE
-from localization.mapping.problem import NO_FEATURE, WALL
+from localization.mapping.problem import NO_FEATURE, WALL, sensors_at
 from worlds.geometry import nearest_points_of_pairs
 
 MERGE_RAD: Final = radians(20.0)
@@ -100,8 +107,8 @@ def _may_be_faces(estimate: MapEstimate, one: int, other: int, information: Floa
         (m, m) of walls, points and parameters, with the poses eliminated; without it all opposite sides count.
     """
     angles = estimate.state.walls[[one, other], 0]
-    sides = estimate.sides[[one, other]]
-    if not sides.all() or sides[0] * sides[1] * np.cos(angles[0] - angles[1]) > 0.0:
+    sides = [_side_of(estimate, wall) for wall in (one, other)]
+    if min(np.abs(sides)) < SIDED or sides[0] * sides[1] * np.cos(angles[0] - angles[1]) > 0.0:
         return False
     if information is None:
         return True
@@ -115,7 +122,7 @@ def _thickness(estimate: MapEstimate, one: int, other: int, information: Floats)
     c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
     # 1. Between the middles of both.
     x, y = segments[[one, other]].reshape(4, 2).mean(axis=0)
-    sign = estimate.sides[[one, other]]
+    sign = np.sign([_side_of(estimate, wall) for wall in (one, other)])
     thickness = float(sign @ (walls[:, 1] - c * x - s * y))
     # 2. By its derivatives. What nothing determines has a deviation of 1 / PRIOR_INFORMATION**0.5.
     by_unknowns = np.zeros(len(information))
@@ -123,6 +130,13 @@ def _thickness(estimate: MapEstimate, one: int, other: int, information: Floats)
         by_unknowns[WALL * wall : WALL * (wall + 1)] = by_angle, by_offset
     information = information + PRIOR_INFORMATION * np.eye(len(information))
     return thickness, float(by_unknowns @ np.linalg.solve(information, by_unknowns)) ** 0.5
+
+
+def _side_of(estimate: MapEstimate, wall: int) -> float:
+    """Return the mean side from which a wall was measured: 1 or -1 for a face, 0 without echoes."""
+    state, echoes = estimate.state, estimate.echoes_of(wall)
+    face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
+    return float(sides_of(face, state.walls[wall : wall + 1]).mean()) if len(echoes) else 0.0
 
 
 def _try_merge(estimate: MapEstimate, remaining: int, removed: int) -> bool:
@@ -260,7 +274,8 @@ def open_faces(estimate: MapEstimate) -> int:
     """Let walls that were measured from one side return echoes to the other one where the total cost falls.
 
     A wall that is a face hides its points from behind, and takes no echo from there. What a robot then measures of a
-    thin wall from its other side may be too little for a wall of its own, which would become one with the first.
+    thin wall from its other side may be too little for a wall of its own, which would become one with the first. Only
+    of walls with levels: of planes both faces are found, and a flat was folded by the thickness of a wall.
 
     Returns
     -------
@@ -268,7 +283,7 @@ def open_faces(estimate: MapEstimate) -> int:
         The number of walls that are none of one side any more.
     """
     opened = 0
-    for wall in np.flatnonzero(estimate.sides).tolist():
+    for wall in np.flatnonzero(estimate.sides).tolist() if estimate.surface_in else ():
         trial = estimate.copy()
         trial.sides = np.where(np.arange(len(trial.sides)) == wall, 0.0, trial.sides)
         trial.associate()
