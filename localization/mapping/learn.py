@@ -142,6 +142,9 @@ class MapLearner:
         square(self.estimate)
         drop_hidden(self.estimate)
         drop_corner_cuts(self.estimate)
+        # Posts that were found last may be the ends of a wall.
+        if self.estimate.surface_in:
+            join_points(self.estimate)
         tie_points(self.estimate)
         # With the weights of its ranges and first echoes, and without those that the map then explains no more.
         self.estimate.expects_first_echoes = True
