@@ -237,8 +237,9 @@ class MapEstimate:
             row, away_in = levels.nearest(wall, (cell + 0.5) * LEVEL_CELL_IN)
             away_in = np.where(away_in > 0.0, away_in + 0.5 * LEVEL_CELL_IN, 0.0)
             values = np.append(levels.value_in, 0.0)[row] * reflection.correlation(away_in)
-            had_level = away_in == 0.0
-            levels = Levels(wall, cell, values, np.zeros(len(wall)), np.append(levels.is_new, False)[row] & had_level)
+            had_level, is_first = (row != NO_LEVEL) & (away_in == 0.0), np.append(True, np.diff(wall) > 0)[: len(wall)]
+            was_new = np.append(levels.is_new, False)[row] & had_level & ~is_first
+            levels = Levels(wall, cell, values, np.zeros(len(wall)), was_new)
         # 2. The level of each echo.
         level = np.full(len(feature), NO_LEVEL, dtype=np.intp)
         level[echoes], _ = levels.nearest(walls, feet)

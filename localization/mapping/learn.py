@@ -4,8 +4,8 @@
         extend by odometry --> headings after turns --> associate --> optimize
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
-        join what was not recognized; births from all echoes; part, join, merge, split, swallow, absorb, square, prune;
-        tie points to walls; optimize
+        join what was not recognized; births from all echoes; open, part, join, merge, split, swallow, absorb, posts,
+        square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; trim surfaces
     once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
@@ -139,12 +139,12 @@ class MapLearner:
             self.estimate.optimize()
             merge(self.estimate)
             prune(self.estimate)
-        square(self.estimate)
-        drop_hidden(self.estimate)
-        drop_corner_cuts(self.estimate)
         # Posts that were found last may be the ends of a wall.
         if self.estimate.surface_in:
             join_points(self.estimate)
+        square(self.estimate)
+        drop_hidden(self.estimate)
+        drop_corner_cuts(self.estimate)
         tie_points(self.estimate)
         # With the weights of its ranges and first echoes, and without those that the map then explains no more.
         self.estimate.expects_first_echoes = True
@@ -246,6 +246,9 @@ def _cost_by_readings(learner: MapLearner) -> float:
     """Return the cost of a map with the weights that ranges have before there is one: the same for all maps."""
     estimate = learner.estimate.copy()
     estimate.problem = estimate.problem.with_trajectory(learner.trajectory)
+    if estimate.surface_in:
+        # With those that `trim_surfaces` has left out.
+        estimate.associate()
     return estimate.cost
 
 

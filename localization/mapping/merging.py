@@ -110,6 +110,9 @@ def _may_be_faces(estimate: MapEstimate, one: int, other: int, information: Floa
     sides = [_side_of(estimate, wall) for wall in (one, other)]
     if min(np.abs(sides)) < SIDED or sides[0] * sides[1] * np.cos(angles[0] - angles[1]) > 0.0:
         return False
+    # What `open_faces` has opened is no face.
+    if estimate.surface_in and not estimate.sides[[one, other]].all():
+        return False
     if information is None:
         return True
     thickness, std_in = _thickness(estimate, one, other, information)
@@ -271,7 +274,7 @@ def _parted(estimate: MapEstimate, wall: int, runs: Floats, *, only_longest: boo
 
 
 def open_faces(estimate: MapEstimate) -> int:
-    """Let walls that were measured from one side return echoes to the other one where the total cost falls.
+    """Let walls that were measured from one side return echoes to the other one where the cost falls by MIN_DIFFERENCE.
 
     A wall that is a face hides its points from behind, and takes no echo from there. What a robot then measures of a
     thin wall from its other side may be too little for a wall of its own, which would become one with the first. Only
@@ -284,6 +287,8 @@ def open_faces(estimate: MapEstimate) -> int:
     """
     opened = 0
     for wall in np.flatnonzero(estimate.sides).tolist() if estimate.surface_in else ():
+        if not estimate.sides[wall]:
+            continue
         trial = estimate.copy()
         trial.sides = np.where(np.arange(len(trial.sides)) == wall, 0.0, trial.sides)
         trial.associate()

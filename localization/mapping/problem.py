@@ -16,7 +16,7 @@
 
 Surfaces are those of `localization/filters/surface.py`: a level is drawn from N(0, std^2), stays for an exponentially
 distributed length, and is then drawn anew, so that it changes within d inches with probability 1 - exp(-d / length).
-Where levels change is chosen with the association of the echoes, by the most probable stretches (association.py).
+Where levels change is chosen with the association of the echoes, by the most probable stretches (surfaces.py).
 
 Ranges have outliers: their squares are replaced by the Geman-McClure function c^2 r^2 / (c^2 + r^2), solved by
 iteratively reweighted least squares. An echo that no reflector explains costs c^2.
@@ -26,7 +26,7 @@ References
 Leonard, Durrant-Whyte, Directed Sonar Sensing for Mobile Robot Navigation (1992): walls and corners as a cone measures
 them. Dellaert, Kaess, Square Root SAM (2006): mapping as least squares over the trajectory. Barron, A General and
 Adaptive Robust Loss Function (2019): Geman-McClure, alpha = -2. Papoulis, Probability, Random Variables, and Stochastic
-Processes (1991), section 10.1: the random telegraph signal.
+Processes (1991), section 10.1: levels that change at random.
 """
 
 from __future__ import annotations
@@ -486,8 +486,9 @@ class MapProblem:
         """Return the cost (l,) of the choice of each level.
 
         Twice the negative logarithm of the probability that the surface changes there, or does not; and twice the
-        logarithm of how much the echoes of the level narrow it. With n echoes of variance R and the prior variance v
-        that is ln(1 + n v / R). Without it a wall with many levels would explain any echoes near it.
+        logarithm of how much the echoes of the level narrow it. With n echoes of variance R and the variance v that it
+        has by the cells before, that is ln(1 + n v / R). Without it a wall with many levels would explain any echoes
+        near it.
 
         References
         ----------
@@ -499,11 +500,32 @@ class MapProblem:
         is_first[1:] = levels.wall[1:] != levels.wall[:-1]
         stays = self.reflection.correlation(LEVEL_CELL_IN * np.diff(levels.cell, prepend=0))
         chosen = np.where(is_first, 1.0, np.where(levels.is_new, 1.0 - stays, stays))
-        prior = np.square(self.level_residuals(levels)[1])
-        return np.log1p(self.level_information(levels, assignment) / prior) - 2.0 * np.log(chosen)
+        before, _ = self._level_chain(levels, assignment)
+        return np.log1p(self.level_information(levels, assignment) * before) - 2.0 * np.log(chosen)
+
+    def _level_chain(self, levels: Levels, assignment: Assignment) -> tuple[Floats, Floats]:
+        """Return the variances (l,) of each level given the echoes of the cells before it, and given all of its chain.
+
+        References
+        ----------
+        Rauch, Tung, Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems (1965): the filter of a random
+        walk, and its smoother.
+        """
+        stays, information = self.level_stays(levels).tolist(), self.level_information(levels, assignment).tolist()
+        new_var, step_var = self.reflection.surface_std_in**2, SAME_LEVEL_STD_IN**2
+        before, after = list[float](), list[float]()
+        for is_same, w in zip(stays, information, strict=True):
+            before.append(after[-1] + step_var if is_same else new_var)
+            after.append(before[-1] / (1.0 + w * before[-1]))
+        smooth = after.copy()
+        for row in reversed(range(len(smooth) - 1)):
+            if stays[row + 1]:
+                gain = after[row] / before[row + 1]
+                smooth[row] += gain**2 * (smooth[row + 1] - before[row + 1])
+        return np.array(before), np.array(smooth)
 
     def level_variances(self, levels: Levels, assignment: Assignment) -> Floats:
-        """Return the variances (l,) of the levels: of each stretch by all its echoes, and between these the surface's.
+        """Return the variances (l,) of the levels by all echoes of their stretches, as far as these may have changed.
 
         A cell without echoes is of the level beside it unless the surface has changed since; between two cells of one
         level it has changed twice then.
@@ -520,8 +542,8 @@ class MapProblem:
         for away, is_of_it in ((rows - before, before >= first[stretch]), (after - rows, after <= last)):
             changes *= np.where(is_of_it, 1.0 - self.reflection.correlation(np.asarray(LEVEL_CELL_IN * away)), 1.0)
         # 2. A level that is drawn anew has the variance of all.
-        total = np.bincount(stretch, information, minlength=len(first))[stretch] + self.reflection.surface_std_in**-2
-        variances: Floats = (1.0 - changes) / total + changes * self.reflection.surface_std_in**2
+        _, smooth = self._level_chain(levels, assignment)
+        variances: Floats = (1.0 - changes) * smooth + changes * self.reflection.surface_std_in**2
         return variances
 
     def level_information(self, levels: Levels, assignment: Assignment) -> Floats:
@@ -529,7 +551,8 @@ class MapProblem:
         information: Floats = np.zeros(len(levels))
         if len(assignment.level):
             has_level = assignment.level != NO_LEVEL
-            np.add.at(information, assignment.level[has_level], 1.0 / np.square(self.trajectory.std_in[has_level]))
+            weight = self.trajectory.weight[has_level] / np.square(self.trajectory.std_in[has_level])
+            np.add.at(information, assignment.level[has_level], weight)
         return information
 
     def angle_residuals(self, state: MapState, assignment: Assignment) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Revision of a map: each change is tried, optimized and reverted unless the total cost falls.
+"""Revision of a map: each change down to `square` is tried, optimized and reverted unless the total cost falls.
 
     prune    a feature without which the echoes cost less than PENALTY more is removed
     part     a point that looks different from two sides, or since a return, becomes two
@@ -8,6 +8,8 @@
     absorb   a point on a wall becomes part of it
     square   a wall with levels turns to the axes of the building
     drop     what is hidden behind walls, across their corners, or measured no more is removed, whatever it costs
+    trim     echoes of a wall with levels from where there is no wall in the end are left out
+    close    the ends of walls whose faces both end there are added
     tie      points near a wall's line are corners or ends of it
 
 Walls that are one or two: `localization/mapping/merging.py`.
@@ -278,6 +280,7 @@ def trim_surfaces(estimate: MapEstimate) -> int:
         feature[echoes[~np.any(within, axis=0)]] = NO_FEATURE
     trimmed = int((feature != estimate.assignment.feature).sum())
     estimate.assignment = replace(estimate.assignment, feature=feature)
+    estimate.measure_extents()
     estimate.measure_levels()
     return trimmed
 
@@ -375,7 +378,7 @@ def _post_places(estimate: MapEstimate, tried: Floats) -> Floats:
 
 
 def _corner_of(estimate: MapEstimate, one: int, other: int) -> Floats | None:
-    """Return where the lines of two walls meet, if at an angle and near the ends of both that echoes show."""
+    """Return where the lines of two walls meet, if at an angle and at most REACH_IN beyond both."""
     walls = estimate.state.walls[[one, other]]
     normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
     if abs(np.sin(walls[1, 0] - walls[0, 0])) < np.sin(MIN_CORNER_RAD):

@@ -53,7 +53,7 @@ def _medians(problem: MapProblem, state: MapState, assignment: Assignment) -> Fl
     sensors, prediction = problem.predict(state, assignment, echoes)
     level = assignment.level[echoes]
     # A wall that stands out by an inch more is an inch nearer, or farther off from behind.
-    values = levels.value_in[level] + (sensors.range_in - prediction.range_in) * prediction.by_feature[:, 1]
+    values = levels.value_in[level] + (sensors.range_in - prediction.range_in) / prediction.by_feature[:, 1]
     values = values[np.lexsort((values, level))]
     counts = np.bincount(level, minlength=len(levels))
     first, has_echoes = np.cumsum(counts) - counts, counts > 0

@@ -13,7 +13,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map
 from localization.mapping.problem import PARAMETER_STDS, MapProblem, Reflection
-from localization.mapping.revision import add_posts, tie_points
+from localization.mapping.revision import _post_places, add_posts, tie_points
 from tests.localization.mapping.drives import ROOM, drive
 
 POST = 35.0, 74.0
@@ -64,13 +64,16 @@ def test_post_and_corner_that_walls_had_explained_are_found(
     assert found.state.points[nearest(found, place)] == pytest.approx(known, abs=1.5)
 
 
-def test_complete_maps_and_those_of_planes_get_no_posts(posted: MapEstimate) -> None:
-    found = with_levels(posted, list(range(len(posted.state.points))))
-    add_posts(found)
+def test_only_walls_with_levels_get_posts_and_each_once(posted: MapEstimate) -> None:
+    others = [number for number in range(len(posted.state.points)) if number != nearest(posted, POST)]
+    found = with_levels(posted, others)
+    # Planes and exact rays, with the same point missing.
+    planes = replace(found, problem=posted.problem)
+    rays = MapProblem(found.problem.trajectory, 16, rays=True, reflection=found.problem.reflection)
+    for made in (planes, replace(found, problem=rays)):
+        assert len(_post_places(found, np.empty((0, 2))))
+        assert add_posts(made) == 0
+    assert add_posts(found) >= 1
     count = len(found.state.points)
     assert add_posts(found) == 0
     assert len(found.state.points) == count
-    assert add_posts(posted.copy()) == 0
-    # Exact rays meet no points.
-    rays = MapProblem(found.problem.trajectory, 16, rays=True, reflection=found.problem.reflection)
-    assert add_posts(replace(found, problem=rays)) == 0

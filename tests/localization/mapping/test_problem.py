@@ -272,20 +272,43 @@ def test_penalty_of_a_level_is_what_its_probability_lacks(trajectory: Trajectory
     assert cost + penalty.sum() == pytest.approx(evidence)
 
 
-def test_variance_of_a_level_is_that_of_its_stretch(trajectory: Trajectory) -> None:
-    """Oracle: the variance of a mean; the surface's own where no echo says that it has not changed."""
+def chain_of(trajectory: Trajectory) -> tuple[MapProblem, Levels, Assignment, Floats, Floats]:
+    """Return levels of two walls, some without echoes, their prior covariance, and the information of their echoes."""
     problem = MapProblem(trajectory, 16, reflection=SURFACE)
     is_new = np.array([False, False, False, True, False, False])
     levels = Levels(np.array([0, 0, 0, 0, 0, 1]), np.array([0, 1, 2, 3, 4, 0]), np.zeros(6), np.zeros(6), is_new)
     level = np.full(len(trajectory.node), NO_LEVEL)
-    level[:7] = 0, 0, 2, 2, 2, 3, 3
-    R = np.square(trajectory.std_in)
-    variances = problem.level_variances(levels, Assignment(np.zeros(len(level), dtype=np.intp), level=level))
-    first, second = (1.0 / (1.6**-2 + (1.0 / R[of]).sum()) for of in (slice(0, 5), slice(5, 7)))
+    level[:8] = 0, 0, 2, 2, 2, 4, 4, 4
+    # Steps of a random walk from the levels that are drawn anew.
+    begins = np.array([0, 0, 0, 3, 3, 5])
+    steps = np.minimum(np.arange(6)[:, None], np.arange(6)) - begins
+    C = np.where(begins[:, None] == begins, 1.6**2 + SAME_LEVEL_STD_IN**2 * steps, 0.0)
+    information: Floats = np.zeros(6)
+    np.add.at(information, level[:8], 1.0 / np.square(trajectory.std_in[:8]))
+    return problem, levels, Assignment(np.zeros(len(level), dtype=np.intp), level=level), C, information
+
+
+def test_penalty_of_a_chain_of_levels_is_that_of_all_of_its_cells(trajectory: Trajectory) -> None:
+    """Oracle: the determinant of the covariance of all readings; a stretch that begins at a cell without echoes too."""
+    problem, levels, assignment, C, information = chain_of(trajectory)
+    stay = np.exp(-LEVEL_CELL_IN / 24.0)
+    chosen = -2.0 * (3.0 * np.log(stay) + np.log(1.0 - stay))
+    expected = np.linalg.slogdet(np.eye(6) + C * information)[1]
+    assert problem.level_penalties(levels, assignment).sum() - chosen == pytest.approx(expected)
+
+
+def test_variance_of_a_level_is_that_by_all_echoes_of_its_stretch(trajectory: Trajectory) -> None:
+    """Oracle: the inverse of the information; the surface's own where no echo says that it has not changed."""
+    problem, levels, assignment, C, information = chain_of(trajectory)
+    smooth = np.diag(np.linalg.inv(np.linalg.inv(C) + np.diag(information)))
     once = 1.0 - np.exp(-LEVEL_CELL_IN / 24.0)
-    expected = [first, once**2 * 1.6**2 + (1.0 - once**2) * first, first, second,
-                once * 1.6**2 + (1.0 - once) * second, 1.6**2]  # fmt: skip
-    np.testing.assert_allclose(variances, expected)
+    changes = np.array((0.0, once**2, 0.0, once, 0.0, 1.0))
+    expected = changes * 1.6**2 + (1.0 - changes) * smooth
+    np.testing.assert_allclose(problem.level_variances(levels, assignment), expected)
+    # Ranges that count for less say less.
+    weight = np.full(len(assignment.level), 0.25)
+    lighter = problem.with_trajectory(replace(trajectory, weight=weight))
+    np.testing.assert_allclose(lighter.level_information(levels, assignment), 0.25 * information)
 
 
 def test_nearest_level_is_that_of_the_nearest_cell_of_the_wall() -> None:

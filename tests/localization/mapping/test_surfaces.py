@@ -67,6 +67,8 @@ def test_levels_are_divided_where_the_echoes_of_a_wall_step(estimate: MapEstimat
     levels, own = made.state.levels, made.state.levels.of(0)
     assert not levels.is_new.any()
     assert np.abs(levels.value_in).max() < 1.0
+    # A new wall has the levels that its echoes say.
+    assert np.abs(levels.value_in[own]).min() > 0.0
     # 1. The readings of the first third of its cells.
     cells = np.arange(own.start, own.start + (own.stop - own.start) // 3)
     stands_out = np.isin(made.assignment.level, cells)
