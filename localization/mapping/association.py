@@ -216,7 +216,7 @@ class MapEstimate:
     def measure_levels(self) -> None:
         """Give each wall the levels of the part that its echoes show, and each of these echoes its level.
 
-        A cell that is new has the expected value of its level, given that of the nearest one.
+        A wall with cells that are new has the levels of its most probable stretches (surfaces.py).
         """
         reflection = self.problem.reflection
         if not reflection.surface_std_in:
@@ -237,9 +237,10 @@ class MapEstimate:
             row, away_in = levels.nearest(wall, (cell + 0.5) * LEVEL_CELL_IN)
             away_in = np.where(away_in > 0.0, away_in + 0.5 * LEVEL_CELL_IN, 0.0)
             values = np.append(levels.value_in, 0.0)[row] * reflection.correlation(away_in)
-            had_level, is_first = (row != NO_LEVEL) & (away_in == 0.0), np.append(True, np.diff(wall) > 0)[: len(wall)]
-            was_new = np.append(levels.is_new, False)[row] & had_level & ~is_first
+            had_level = (row != NO_LEVEL) & (away_in == 0.0)
+            was_new = np.append(levels.is_new, False)[row] & had_level
             levels = Levels(wall, cell, values, np.zeros(len(wall)), was_new)
+            levels = replace(levels, is_new=was_new & ~levels.is_first)
         # 2. The level of each echo.
         level = np.full(len(feature), NO_LEVEL, dtype=np.intp)
         level[echoes], _ = levels.nearest(walls, feet)

@@ -138,6 +138,13 @@ class Levels:
         """Return their number."""
         return len(self.wall)
 
+    @property
+    def is_first(self) -> npt.NDArray[np.bool_]:
+        """True (l,) for the first level of each wall."""
+        first = np.ones(len(self), dtype=np.bool_)
+        first[1:] = self.wall[1:] != self.wall[:-1]
+        return first
+
     def some(self, at: npt.NDArray[np.bool_]) -> Levels:
         """Return some of them (l,)."""
         return Levels(self.wall[at], self.cell[at], self.value_in[at], self.var_in2[at], self.is_new[at])
@@ -478,9 +485,7 @@ class MapProblem:
 
     def level_stays(self, levels: Levels) -> npt.NDArray[np.bool_]:
         """Return True (l,) for levels that are those before them."""
-        is_next = np.zeros(len(levels), dtype=np.bool_)
-        is_next[1:] = levels.wall[1:] == levels.wall[:-1]
-        return np.asarray(is_next & ~levels.is_new, dtype=np.bool_)
+        return np.asarray(~levels.is_first & ~levels.is_new, dtype=np.bool_)
 
     def level_penalties(self, levels: Levels, assignment: Assignment) -> Floats:
         """Return the cost (l,) of the choice of each level.
@@ -496,10 +501,8 @@ class MapProblem:
         """
         if not len(levels):
             return np.zeros(0)
-        is_first = np.ones(len(levels), dtype=np.bool_)
-        is_first[1:] = levels.wall[1:] != levels.wall[:-1]
         stays = self.reflection.correlation(LEVEL_CELL_IN * np.diff(levels.cell, prepend=0))
-        chosen = np.where(is_first, 1.0, np.where(levels.is_new, 1.0 - stays, stays))
+        chosen = np.where(levels.is_first, 1.0, np.where(levels.is_new, 1.0 - stays, stays))
         before, _ = self._level_chain(levels, assignment)
         return np.log1p(self.level_information(levels, assignment) * before) - 2.0 * np.log(chosen)
 

@@ -100,9 +100,8 @@ def stretches(
 
 def gate_variances(problem: MapProblem, levels: Levels, assignment: Assignment) -> Floats:
     """Return the variances (l,) of the levels by their own echoes, given those before, from which they may differ."""
-    reflection, is_next = problem.reflection, np.zeros(len(levels), dtype=np.bool_)
-    is_next[1:] = levels.wall[1:] == levels.wall[:-1]
-    a = np.where(is_next, reflection.correlation(np.array(LEVEL_CELL_IN)), 0.0)
+    reflection = problem.reflection
+    a = np.where(levels.is_first, 0.0, reflection.correlation(np.array(LEVEL_CELL_IN)))
     prior = 1.0 / (reflection.surface_std_in**2 * (1.0 - a * a))
     variances: Floats = 1.0 / (prior + problem.level_information(levels, assignment))
     return variances
