@@ -10,3 +10,8 @@ corridor                  filters on a log of a real corridor
 baselines                 scores of simple policies in the environments of Gymnasium
 execution                 processes, clusters, cached results and options, for all of them
 """
+
+from nclient.common import use_one_thread
+
+# Each process of an experiment has a core.
+use_one_thread()

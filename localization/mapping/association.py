@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import radians
+from operator import is_
 from typing import Final
 
 import numpy as np
@@ -143,6 +144,8 @@ class MapEstimate:
     expects_first_echoes: bool = False
     """True for a finished map, whose walls must return the first echo (`_are_behind`). While a map grows, a wrong wall
     would take echoes of others."""
+    _measured: tuple[object, ...] = ()
+    """What `measure_levels` has given levels to: problem, state, features and levels of the echoes."""
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
@@ -154,6 +157,7 @@ class MapEstimate:
         """Take over another estimate of the same problem."""
         self.state, self.assignment = other.state, other.assignment
         self.extents, self.runs, self.sides = other.extents, other.runs, other.sides
+        self._measured = other._measured
 
     def copy(self) -> MapEstimate:
         """Return an estimate that changes independently; arrays are replaced, never changed in place."""
@@ -219,7 +223,7 @@ class MapEstimate:
         A wall with cells that are new has the levels of its most probable stretches (surfaces.py).
         """
         reflection = self.problem.reflection
-        if not reflection.surface_std_in:
+        if not reflection.surface_std_in or self._are_measured:
             return
         feature, levels = self.assignment.feature, self.state.levels
         echoes = np.flatnonzero((feature != NO_FEATURE) & (feature < len(self.state.walls)))
@@ -250,6 +254,17 @@ class MapEstimate:
             levels = divided(self.problem, replace(self.state, levels=levels), self.assignment, had_level)
             variances = gate_variances(self.problem, levels, self.assignment)
             self.state = replace(self.state, levels=replace(levels, var_in2=variances))
+        self._measured = self._of_levels
+
+    @property
+    def _of_levels(self) -> tuple[object, ...]:
+        """What levels depend on. Arrays are replaced, never changed in place."""
+        return self.problem, self.state, self.assignment.feature, self.assignment.level
+
+    @property
+    def _are_measured(self) -> bool:
+        """True if nothing that levels depend on has changed since they were measured."""
+        return bool(self._measured) and all(map(is_, self._measured, self._of_levels))
 
     def _feet(self, echoes: Indices) -> Floats:
         """Return the coordinates (e,) along the walls that explain echoes at which these were reflected."""
@@ -377,8 +392,11 @@ class MapEstimate:
     def remove(self, removed: int) -> None:
         """Remove a feature; its echoes are unexplained until the next association."""
         state, walls, feature = self.state, len(self.state.walls), self.assignment.feature
-        feature = np.where(feature == removed, NO_FEATURE, feature - (feature > removed))
+        feature, level = np.where(feature == removed, NO_FEATURE, feature - (feature > removed)), self.assignment.level
         if removed < walls:
+            own = state.levels.of(removed)
+            is_later, is_own = level >= own.stop, (level >= own.start) & (level < own.stop)
+            level = np.where(is_own, NO_LEVEL, level - is_later * (own.stop - own.start))
             levels = state.levels.some(state.levels.wall != removed)
             levels = replace(levels, wall=levels.wall - (levels.wall > removed))
             self.state = replace(state, walls=np.delete(state.walls, removed, axis=0), levels=levels)
@@ -389,8 +407,7 @@ class MapEstimate:
         else:
             self.state = replace(state, points=np.delete(state.points, removed - walls, axis=0))
         # Ties are found again when they are needed.
-        self.assignment = Assignment(feature)
-        self.measure_levels()
+        self.assignment = Assignment(feature, level=level)
 
 
 def _fewer_sign(signs: Floats) -> int:
@@ -469,7 +486,7 @@ def along_and_across(points: Floats, walls: Floats) -> tuple[Floats, Floats]:
 def _wall_geometry(
     problem: MapProblem, state: MapState, sensors: Sensors, numbers: slice = slice(None)
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return range, angle off the axis and foot (e, w) of each wall from each sonar, and the variance of its level."""
+    """Return range, cosine of the angle off the axis, foot (e, w) of each wall, and the variance of its level."""
     walls = state.walls[numbers]
     c, s = np.cos(walls[None, :, 0]), np.sin(walls[None, :, 0])
     offset = walls[None, :, 1]
@@ -486,9 +503,9 @@ def _wall_geometry(
         dx, dy = unit_vector(axis)
         ranges, _, cosine = intersect_line(x, y, dx, dy, (c, s, offset))
         away = (ranges > 0.0) & (np.abs(cosine) > MIN_RAY_COS)
-        return ranges, np.where(away, 0.0, np.pi), c * (y + ranges * dy) - s * (x + ranges * dx), variance
+        return ranges, np.where(away, 1.0, -1.0), c * (y + ranges * dy) - s * (x + ranges * dx), variance
     ranges, toward_x, toward_y, foot = to_wall(x, y, offset * c, offset * s, c, s)
-    return ranges, wrap_angle(np.arctan2(toward_y, toward_x) - axis), -foot, variance
+    return ranges, toward_x * np.cos(axis) + toward_y * np.sin(axis), -foot, variance
 
 
 def growth_of(walls: Floats, extents: Floats) -> Floats:
@@ -532,7 +549,7 @@ def residual_matrix(
     if sensors is None:
         sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
     # 1. Walls: in the cone, and near the part seen so far.
-    ranges, off_axis, feet, variance = _wall_geometry(problem, state, sensors)
+    ranges, cosine, feet, variance = _wall_geometry(problem, state, sensors)
     growth = growth_of(state.walls, extents)
     on_wall = (feet > extents[:, 0] - growth[:, 0]) & (feet < extents[:, 1] + growth[:, 1])
     c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
@@ -540,8 +557,8 @@ def residual_matrix(
     # 2. Points.
     x, y = sensors.face[:, :1], sensors.face[:, 1:]
     far, toward_x, toward_y = to_vertex(x, y, state.points[None, :, 0], state.points[None, :, 1])
-    off_point = wrap_angle(np.arctan2(toward_y, toward_x) - sensors.axis[:, None])
-    ranges, off_axis = np.concatenate((ranges, far), 1), np.concatenate((off_axis, off_point), 1)
+    of_point = toward_x * np.cos(sensors.axis)[:, None] + toward_y * np.sin(sensors.axis)[:, None]
+    ranges, cosine = np.concatenate((ranges, far), 1), np.concatenate((cosine, of_point), 1)
     everywhere = np.ones(far.shape, dtype=np.bool_)
     spots = np.concatenate((spots, np.broadcast_to(state.points, (*far.shape, 2))), 1)
     # 3. The gate.
@@ -551,7 +568,7 @@ def residual_matrix(
         std = np.concatenate((np.sqrt(std**2 + variance), of_points), axis=1)
     residual = sensors.range_in[:, None] - ranges
     fits = np.abs(residual) < GATE_SIGMAS * std + GATE_IN
-    in_cone = np.abs(off_axis) < problem.reflection.half_cone_rad + OFF_CONE_RAD
+    in_cone = cosine > np.cos(problem.reflection.half_cone_rad + OFF_CONE_RAD)
     fits &= in_cone & np.concatenate((on_wall, everywhere), 1)
     return np.where(fits, residual / std, np.inf), sensors, spots
 

@@ -714,16 +714,15 @@ class MapProblem:
         linear = self.linearize_echoes(state, assignment)
         if not len(linear.echoes):
             return
-        # Sums over the echoes of each block.
-        node, at, residuals = linear.node, linear.at, linear.weighted
-        by_pose, by_border = linear.by_pose, linear.by_border
-        pose_t, border_t = by_pose.swapaxes(-1, -2), by_border.swapaxes(-1, -2)
-        np.add.at(N.diagonal, node, pose_t @ by_pose)
-        np.add.at(N.pose_gradient, node, -(pose_t @ residuals[..., None])[..., 0])
-        rows = np.arange(POSE)[None, :, None]
-        np.add.at(N.coupling, (node[:, None, None], rows, at[:, None, :]), pose_t @ by_border)
-        np.add.at(N.border, (at[:, :, None], at[:, None, :]), border_t @ by_border)
-        np.add.at(N.border_gradient, at, -(border_t @ residuals[..., None])[..., 0])
+        # Sums over the echoes of each block, by the places of its numbers in the flat arrays.
+        at, residuals, size = linear.at, linear.weighted[..., None], len(N.border)
+        pose_t, border_t = linear.by_pose.swapaxes(-1, -2), linear.by_border.swapaxes(-1, -2)
+        pose = POSE * linear.node[:, None] + np.arange(POSE)
+        _add_at(N.diagonal, POSE * pose[..., None] + np.arange(POSE), pose_t @ linear.by_pose)
+        _add_at(N.pose_gradient, pose, -(pose_t @ residuals))
+        _add_at(N.coupling, size * pose[..., None] + at[:, None, :], pose_t @ linear.by_border)
+        _add_at(N.border, size * at[:, :, None] + at[:, None, :], border_t @ linear.by_border)
+        _add_at(N.border_gradient, at, -(border_t @ residuals))
 
     def optimize(
         self, state: MapState, assignment: Assignment, iterations: int = 4, min_gain: float = MIN_GAIN
@@ -752,6 +751,11 @@ class MapProblem:
             if gain < min_gain:
                 break
         return normalized(state)
+
+
+def _add_at(total: Floats, at: Indices, values: Floats) -> None:
+    """Add values to the numbers at some places of an array, in place; numpy does so several times faster in one row."""
+    np.add.at(total.reshape(-1), at.reshape(-1), values.reshape(-1))
 
 
 def normalized(state: MapState) -> MapState:

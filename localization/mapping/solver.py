@@ -5,8 +5,8 @@
 
     S  = D - C' T^-1 C              S db = h - C' T^-1 g,   dx = T^-1 g - T^-1 C db
 
-S^-1 is the covariance of the border. T is solved for all columns of C and g at once; every second pose is eliminated
-in one array operation, so a trajectory of n poses takes log2 n of them.
+S^-1 is the covariance of the border. Every second pose is eliminated in one array operation, so a trajectory of n poses
+takes log2 n of them. Each one adds its part of C' T^-1 C, so T^-1 itself is applied to one column only, g - C db.
 
 References
 ----------
@@ -18,14 +18,10 @@ section 10.3 (Levenberg-Marquardt).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from localization.filters.belief import Floats
-
-STRETCH: Final = 32
-"""Poses of which C' T^-1 C is added at once: 16 s of driving, in which a robot is in one room or two."""
 
 
 @dataclass(slots=True)
@@ -61,7 +57,7 @@ class NormalEquations:
         """
         poses, reduced, right = self._eliminate(damping)
         border: Floats = np.asarray(np.linalg.solve(reduced, right), dtype=np.float64)
-        return poses[..., -1] - poses[..., :-1] @ border, border
+        return poses.solve((self.pose_gradient - self.coupling @ border)[..., None])[..., 0], border
 
     def reduced(self) -> tuple[Floats, Floats]:
         """Return S (m, m) and its right-hand side (m,): the border with all poses eliminated."""
@@ -75,32 +71,25 @@ class NormalEquations:
 
     def covariance(self) -> Covariance:
         """Return the blocks of the inverse of the whole matrix that residuals of one or two neighbouring poses need."""
-        columns, reduced, _ = self._eliminate(0.0)
+        poses, reduced, _ = self._eliminate(0.0)
         border: Floats = np.asarray(np.linalg.inv(reduced), dtype=np.float64)
-        W = columns[..., :-1]
+        W = poses.solve(self.coupling)
         diagonal, upper = invert_block_tridiagonal(self.diagonal, self.upper)
         coupling = -W @ border
         return Covariance(
             diagonal - coupling @ W.swapaxes(-1, -2), upper - coupling[:-1] @ W[1:].swapaxes(-1, -2), coupling, border
         )
 
-    def _eliminate(self, damping: float) -> tuple[Floats, Floats, Floats]:
-        """Return T^-1 [C g], S and the right-hand side of the border."""
+    def _eliminate(self, damping: float) -> tuple[BlockTridiagonal, Floats, Floats]:
+        """Return T, S and the right-hand side of the border."""
         diagonal, border = self.diagonal, self.border
         if damping:
             # The unit keeps unknowns that nothing measures from moving.
             diagonal = diagonal + damping * (diagonal + np.eye(3)) * np.eye(3)
             border = border + damping * np.diag(np.diag(border) + 1.0)
-        columns = np.concatenate((self.coupling, self.pose_gradient[..., None]), axis=-1)
-        poses = solve_block_tridiagonal(diagonal, self.upper, columns)
-        # The walls and points of one room are not measured from another: most columns of a stretch are 0.
-        reduced = np.zeros((self.coupling.shape[-1], columns.shape[-1]))
-        for start in range(0, len(poses), STRETCH):
-            coupling = self.coupling[start : start + STRETCH]
-            used = np.flatnonzero(coupling.any(axis=(0, 1)))
-            # No BLAS: its threads cost more than they save here, and their number would change the rounding.
-            reduced[used] += np.einsum("npi,npj->ij", coupling[..., used], poses[start : start + STRETCH])
-        return poses, border - reduced[:, :-1], self.border_gradient - reduced[:, -1]
+        poses = BlockTridiagonal(diagonal, self.upper)
+        form = poses.inverse_form(np.concatenate((self.coupling, self.pose_gradient[..., None]), axis=-1))
+        return poses, border - form[:-1, :-1], self.border_gradient - form[:-1, -1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +103,7 @@ class Covariance:
 
 
 def invert_block_tridiagonal(diagonal: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Return the blocks of T^-1 on the diagonal (n, k, k) and to the right of it (n - 1, k, k), for T as below.
+    """Return the blocks of T^-1 on the diagonal (n, k, k) and to the right of it (n - 1, k, k) of a `BlockTridiagonal`.
 
     References
     ----------
@@ -134,8 +123,39 @@ def invert_block_tridiagonal(diagonal: Floats, upper: Floats) -> tuple[Floats, F
     return on, off
 
 
-def solve_block_tridiagonal(diagonal: Floats, upper: Floats, right: Floats) -> Floats:
-    """Return T^-1 right (n, k, m) for a symmetric positive definite block tridiagonal T.
+@dataclass(frozen=True, slots=True)
+class _Halving:
+    """The odd ones of n unknowns of k numbers expressed by their neighbours.
+
+    x_o = inverse right_o - by_left x_(o-1) - by_right x_(o+1). The last one has no right neighbour if n is even.
+
+    Attributes
+    ----------
+    inverse
+        (o, k, k) of the blocks of the odd ones.
+    to_left, to_right
+        (o, k, k) blocks of T between the neighbours and them, (e, k, k) between them and their right neighbours.
+    by_left, by_right
+        (o, k, k) and (e, k, k).
+    """
+
+    inverse: Floats
+    to_left: Floats
+    to_right: Floats
+    by_left: Floats
+    by_right: Floats
+
+    def insert(self, right: Floats) -> tuple[Floats, Floats]:
+        """Return inverse right_o (o, k, m), and the right-hand sides (n - o, k, m) of the even unknowns alone."""
+        odds, rights = len(self.inverse), len(self.to_right)
+        solved, half = self.inverse @ right[1::2], right[0::2].copy()
+        half[:odds] -= self.to_left @ solved
+        half[1 : rights + 1] -= self.to_right.swapaxes(-1, -2) @ solved[:rights]
+        return solved, half
+
+
+class BlockTridiagonal:
+    """A symmetric positive definite block tridiagonal matrix T, by cyclic reduction.
 
     Parameters
     ----------
@@ -143,37 +163,53 @@ def solve_block_tridiagonal(diagonal: Floats, upper: Floats, right: Floats) -> F
         (n, k, k) blocks of the diagonal.
     upper
         (n - 1, k, k) blocks to the right of it.
-    right
-        (n, k, m) right-hand sides.
 
     References
     ----------
     Golub, Van Loan, Matrix Computations (2013), section 4.5.4.
     """
-    count = len(diagonal)
-    if count == 1:
-        return np.asarray(np.linalg.solve(diagonal, right), dtype=np.float64)
-    # 1. The odd unknowns by their neighbours: x_o = inverse (right_o - upper_(o-1)' x_(o-1) - upper_o x_(o+1)).
-    odds = count // 2
-    inverse = np.linalg.inv(diagonal[1::2])
-    to_left = upper[0::2]
-    to_right = upper[1::2]
-    rights = odds if count % 2 else odds - 1
-    solved = inverse @ right[1::2]
-    by_left = inverse @ to_left.swapaxes(-1, -2)
-    by_right = inverse[:rights] @ to_right
-    # 2. They are inserted in the rows of the even unknowns, which form a system of the same kind, of half the size.
-    half_diagonal, half_right = diagonal[0::2].copy(), right[0::2].copy()
-    half_diagonal[:odds] -= to_left @ by_left
-    half_right[:odds] -= to_left @ solved
-    half_diagonal[1 : rights + 1] -= to_right.swapaxes(-1, -2) @ by_right
-    half_right[1 : rights + 1] -= to_right.swapaxes(-1, -2) @ solved[:rights]
-    half_upper = -to_left[:rights] @ by_right
-    evens = solve_block_tridiagonal(half_diagonal, half_upper, half_right)
-    # 3. Back substitution.
-    solution = np.empty_like(right)
-    solution[0::2] = evens
-    solved -= by_left @ evens[:odds]
-    solved[:rights] -= by_right @ evens[1 : rights + 1]
-    solution[1::2] = solved
-    return solution
+
+    def __init__(self, diagonal: Floats, upper: Floats) -> None:
+        self._halvings = list[_Halving]()
+        while (count := len(diagonal)) > 1:
+            odds = count // 2
+            rights = odds if count % 2 else odds - 1
+            # 1. The odd unknowns by their neighbours.
+            inverse: Floats = np.asarray(np.linalg.inv(diagonal[1::2]), dtype=np.float64)
+            to_left, to_right = upper[0::2], upper[1::2]
+            by_left, by_right = inverse @ to_left.swapaxes(-1, -2), inverse[:rights] @ to_right
+            self._halvings.append(_Halving(inverse, to_left, to_right, by_left, by_right))
+            # 2. Inserted in the rows of the even ones, which form a system of the same kind, of half the size.
+            diagonal = diagonal[0::2].copy()
+            diagonal[:odds] -= to_left @ by_left
+            diagonal[1 : rights + 1] -= to_right.swapaxes(-1, -2) @ by_right
+            upper = -to_left[:rights] @ by_right
+        self._last = np.linalg.inv(diagonal)
+
+    def solve(self, right: Floats) -> Floats:
+        """Return T^-1 right (n, k, m) for right-hand sides (n, k, m)."""
+        solved = []
+        for halving in self._halvings:
+            of_odds, right = halving.insert(right)
+            solved.append(of_odds)
+        found: Floats = self._last @ right
+        for halving, of_odds in zip(reversed(self._halvings), reversed(solved), strict=True):
+            odds, rights, evens = len(of_odds), len(halving.by_right), found
+            found = np.empty((odds + len(evens), *evens.shape[1:]))
+            found[0::2], found[1::2] = evens, of_odds - halving.by_left @ evens[:odds]
+            found[1::2][:rights] -= halving.by_right @ evens[1 : rights + 1]
+        return found
+
+    def inverse_form(self, right: Floats) -> Floats:
+        """Return the sum (m, m) of right' T^-1 right over all unknowns, for (n, k, m).
+
+        Products of flat matrices, though many columns of a pose are 0: BLAS is so much faster than leaving these out.
+        """
+        count = right.shape[-1]
+        total: Floats = np.zeros((count, count))
+        for halving in self._halvings:
+            of_odds = right[1::2].reshape(-1, count)
+            solved, right = halving.insert(right)
+            total += of_odds.T @ solved.reshape(-1, count)
+        total += right.reshape(-1, count).T @ (self._last @ right).reshape(-1, count)
+        return total

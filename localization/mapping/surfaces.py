@@ -80,16 +80,19 @@ def stretches(
     count = len(values)
     sums = np.zeros((3, count + 1))
     np.cumsum((information, information * values, information * values**2), axis=1, out=sums[:, 1:])
-    best, start, firsts = np.zeros(count + 1), np.zeros(count + 1, dtype=np.intp), np.arange(count)
-    borders = np.where(firsts > 0, -2.0 * log(changes), 0.0) + 2.0 * log(1.0 - changes) * firsts
-    # 1. The best division of the cells before each end, by the first cell of its last stretch.
+    # 1. The cost of each stretch, to the cell before an end (rows) from a first one (columns). The stays that a change
+    # replaces are taken off: what is left of them is the same for all divisions.
+    w, wz, wzz = sums[:, 1:, None] - sums[:, None, :-1]
+    w = np.maximum(w, 0.0)
+    costs = wzz - wz**2 / (w + std**-2) + np.log1p(w * std**2)
+    costs[:, 1:] += 2.0 * log((1.0 - changes) / changes)
+    # 2. The best division of the cells before each end, by the first cell of its last stretch.
+    best, start = np.zeros(count + 1), np.zeros(count + 1, dtype=np.intp)
     for end in range(1, count + 1):
-        w, wz, wzz = sums[:, end : end + 1] - sums[:, :end]
-        cost = best[:end] + wzz - wz**2 / (w + std**-2) + np.log1p(w * std**2)
-        cost += borders[:end] - 2.0 * log(1.0 - changes) * (end - 1)
+        cost = best[:end] + costs[end - 1, :end]
         start[end] = cost.argmin()
         best[end] = cost[start[end]]
-    # 2. Its stretches, the last one first.
+    # 3. Its stretches, the last one first.
     begins, levels, end = np.zeros(count, dtype=np.bool_), np.zeros(count), count
     while end:
         first = int(start[end])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localization.filters.belief import Floats
-from localization.mapping.solver import NormalEquations, invert_block_tridiagonal, solve_block_tridiagonal
+from localization.mapping.solver import BlockTridiagonal, NormalEquations, invert_block_tridiagonal
 
 
 def random_equations(poses: int, border: int, seed: int) -> tuple[NormalEquations, Floats, Floats]:
@@ -39,7 +39,7 @@ def random_equations(poses: int, border: int, seed: int) -> tuple[NormalEquation
 def test_cyclic_reduction_solves_the_dense_system(count: int, columns: int, seed: int) -> None:
     equations, H, _ = random_equations(count, 1, seed)
     right = np.random.default_rng(seed).normal(size=(count, 3, columns))
-    found = solve_block_tridiagonal(equations.diagonal, equations.upper, right)
+    found = BlockTridiagonal(equations.diagonal, equations.upper).solve(right)
     dense = np.linalg.solve(H[: 3 * count, : 3 * count], right.reshape(3 * count, columns))
     np.testing.assert_allclose(found.reshape(3 * count, columns), dense, rtol=1e-8, atol=1e-9)
 

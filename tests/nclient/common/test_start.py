@@ -1,4 +1,4 @@
-"""The guard around imports: SIGINT exits at once; an ignored SIGINT stays ignored."""
+"""The guard around imports: SIGINT exits at once; an ignored SIGINT stays ignored. One thread of BLAS."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from nclient.cli import __main__ as nomad
-from nclient.common import exit_on_interrupt
+from nclient.common import exit_on_interrupt, use_one_thread
 from nclient.common.process import ExitCode
 from nserver_emu import __main__ as nserver
 
@@ -47,6 +47,17 @@ def test_an_ignored_signal_stays_ignored() -> None:
     with exit_on_interrupt():
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("4", "4")])
+def test_blas_has_one_thread_unless_told_otherwise(
+    given: str | None, used: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
+    if given is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    use_one_thread()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == used
 
 
 @pytest.mark.parametrize(("script", "command"), [(nomad, "nclient.cli.main"), (nserver, "nserver_emu.cli")])
