@@ -10,7 +10,8 @@ A trial drives a robot along waypoints of a world, as a person would who sees th
 
 With the setup *building* a wall of the world is a plane that nothing reflects at: its surface has levels, half an inch
 from it in the median, and up to 3 in. There the true wall is that plane, shifted to the mean of its surface beside the
-measured parts of the learned line, and the best rigid fit is that of the measured spots to the surfaces.
+measured parts of the learned line; its ends are where two such lines meet. The best rigid fit is that of the measured
+spots to the surfaces.
 
 The frame of a map is free, and so is the path in it: while the turret keeps its direction, a shift of the path is the
 same as offsets of the sonars by the cosine of their angles.
@@ -135,6 +136,8 @@ SAMPLE_IN: Final = 1.0
 MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
 CLOSED_IN: Final = 2.0
 """A loop is closed if the last position is so near to where the first one puts it."""
+MEETING_IN, MIN_SLOPE = 0.1, 0.1
+"""Walls meet that are so near and at an angle whose sine is larger."""
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization, unless surfaces depend on it."""
 SETUPS: Final = ("measured", "noisy", "worn", BUILDING_SETUP)
@@ -520,7 +523,8 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
             missing.append(samples[k].mean(axis=0).round(1).tolist())
     # 3. Learned walls: how much of each is at a wall of the world, and how far off.
     near_length, false = 0.0, 0
-    offsets, angles, corners, z = [], [], [], []
+    offsets, angles, z, closed = [], [], [], []
+    true_lines = walls if trial.surfaces is None else lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
     for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
@@ -530,22 +534,20 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
             false += 1
             continue
         measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
-        offset, angle = _error(learned, measured.mean(axis=0), lines)
+        number, offset, angle = _error(learned, measured.mean(axis=0), lines)
+        true_lines = np.where(np.arange(len(walls))[:, None] == number, lines, true_lines)
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
-        true_ends = lines.reshape(-1, 2)
-        corners += [
-            float(np.hypot(*(true_ends - end).T).min())
-            for end, is_closed in zip(learned, piece.closed, strict=True)
-            if is_closed
-        ]
+        closed += [end for end, is_closed in zip(learned, piece.closed, strict=True) if is_closed]
+    corners = corners_of(walls, true_lines)
+    to_corners = [float(np.hypot(*(corners - end).T).min()) for end in closed]
     total = sum(piece.length_in for piece in found.walls)
     return {
         "walls": len(visible), "found": covered, "false": false, "missing": missing,
         "seen": near_samples / max(sum(len(samples[k]) for k in visible), 1),
         "precision": near_length / total if total else 0.0, "offsets_in": offsets, "angles_deg": angles,
-        "ends_in": corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
+        "ends_in": to_corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
         "odometry_in": fit_error(odometry, true_path), **_outline_score(world_of(trial.world), found, turn, shift),
     }  # fmt: skip
 
@@ -599,17 +601,33 @@ def _turn_between(wall: Floats, learned: Floats) -> float:
     return abs(wrap_angle(2.0 * turn)) / 2.0
 
 
-def _error(learned: Floats, middle: Floats, walls: Floats) -> tuple[float, float]:
-    """Return offset (in) and angle (deg) of a learned wall (2, 2) from the nearest wall of about its direction.
+def corners_of(walls: Floats, lines: Floats) -> Floats:
+    """Return the ends (c, 2) of walls (m, 4) that are shifted to lines (m, 4): where these meet others."""
+    along = (lines[:, 2:] - lines[:, :2]) / lengths(lines)[:, None]
+    left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    found = []
+    for row, (place, end) in enumerate(zip(walls.reshape(-1, 2), lines.reshape(-1, 2), strict=True)):
+        slope = left @ along[row // 2]
+        meeting = np.flatnonzero((nearest_points(place[None], walls)[1][0] < MEETING_IN) & (np.abs(slope) > MIN_SLOPE))
+        # So far along the own line the other one is met.
+        steps = ((lines[meeting, :2] - end) * left[meeting]).sum(axis=1) / slope[meeting]
+        found += [end + step * along[row // 2] for step in steps] or [end]
+    return np.array(found).reshape(-1, 2)
+
+
+def _error(learned: Floats, middle: Floats, walls: Floats) -> tuple[int, float, float]:
+    """Return the number of the nearest wall of about the direction of a learned one (2, 2), offset (in), angle (deg).
 
     The offset is that at the middle (2,) of the part that was measured, of which the stated deviation is.
     """
     parallel = np.array([_turn_between(wall, learned) < radians(20.0) for wall in walls])
-    candidates = walls[parallel] if parallel.any() else walls
-    near = candidates[nearest_points(middle[None], candidates)[1][0].argmin()]
+    away = nearest_points(middle[None], walls)[1][0]
+    number = int((np.where(parallel, away, np.inf) if parallel.any() else away).argmin())
+    near = walls[number]
     along = (near[2:] - near[:2]) / lengths(near)
     off = middle - near[:2]
-    return float(off[1] * along[0] - off[0] * along[1]), float(np.degrees(_turn_between(near, learned)))
+    across = float(off[1] * along[0] - off[0] * along[1])
+    return number, across, float(np.degrees(_turn_between(near, learned)))
 
 
 def localization_error(driven: Drive, world: World, turn: float, shift: Floats, setup: str) -> float:

@@ -203,8 +203,9 @@ def _picture(row: Floats, found: RingStatistics) -> Figure:
     angles = step * np.arange(len(row))
     for angle, range_m in zip(angles, np.minimum(row, NO_ECHO_M), strict=True):
         ring.plot((0.0, range_m * np.cos(angle)), (0.0, range_m * np.sin(angle)), color=FAINT, linewidth=1.0)
-    heard = np.isfinite(row)
-    ring.plot(row[heard] * np.cos(angles[heard]), row[heard] * np.sin(angles[heard]), "o", color=ESTIMATE, markersize=3)
+    is_measured = np.isfinite(row)
+    x, y = row * np.cos(angles), row * np.sin(angles)
+    ring.plot(x[is_measured], y[is_measured], "o", color=ESTIMATE, markersize=3)
     for run in runs_of(row):
         # The wall: as long as what the sonars of the run reach, at a right angle to the direction of its middle.
         half = run.range_m * np.tan(min(0.5 * (run.sonars - 1) * step, 1.0))

@@ -223,11 +223,12 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     points = estimate.state.points
     spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
     spans += find_wall_ends(estimate, (starts, ends))
-    owners = [int(np.argmin([line.off(span.ends) for line in lines])) for span in spans] if lines else []
+    runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(lines)]
+    has_levels = estimate.problem.reflection.surface_std_in > 0.0
+    owners = [_owner_of(span, lines, runs_of, has_levels) for span in spans] if lines else []
     pieces = []
-    for number, line in enumerate(lines):
-        runs = _pieces(line, np.sort(_clear_feet(estimate, number)), points)
-        own = [span for span, nearest in zip(spans, owners, strict=True) if nearest == number]
+    for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
+        own = [span for span, owner in zip(spans, owners, strict=True) if owner == number]
         for low, high, count in _with_spans(runs, line, own):
             within = [run for run in runs if run[0] < high and run[1] > low]
             spots = (min(run[0] for run in within), max(run[1] for run in within)) if within else (low, high)
@@ -235,7 +236,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
     # 3. Ends.
-    pieces = _with_ends(pieces, lines, points, estimate.problem.reflection.surface_std_in > 0.0)
+    pieces = _with_ends(pieces, lines, points, has_levels)
     if with_accuracy:
         _add_accuracy(estimate, pieces, lines)
         _add_surfaces(estimate, pieces)
@@ -376,6 +377,26 @@ def _without_strays(feet: Floats, points: Floats) -> Floats:
         if high - low > MAX_GAP_IN and between.sum() <= MAX_ALONE:
             feet = feet[~between]
     return feet
+
+
+def _owner_of(
+    span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], has_levels: bool
+) -> int | None:
+    """Return the number of the nearest line to a span; of walls with levels that of which most was measured there.
+
+    A wall of two parts with a gap between has two lines, of the mean level of each: a post of the one part may be
+    nearer to the line of the other. Where nothing was measured of the nearest one either, its level is unknown.
+    """
+    off = np.array([line.off(span.ends) for line in lines])
+    nearest = int(off.argmin())
+    if not has_levels or not runs_of[nearest]:
+        return nearest
+    common_in = []
+    for line, runs in zip(lines, runs_of, strict=True):
+        first, last = sorted((span.ends.reshape(2, 2) @ line.along).tolist())
+        common_in.append(sum(max(min(high, last) - max(low, first), 0.0) for low, high, _ in runs))
+    measured = np.where(off < POINT_ON_LINE_IN, common_in, 0.0)
+    return int(measured.argmax()) if measured.max() > 0.0 else None
 
 
 def _with_spans(

@@ -15,6 +15,7 @@ from localization.experiments.mapping import (
     Score,
     Trial,
     closing_error,
+    corners_of,
     disturbed,
     fit_error,
     lines_beside,
@@ -227,6 +228,20 @@ def test_true_wall_of_a_surface_is_its_best_straight_line() -> None:
     np.testing.assert_allclose(lines[low], (x1, y1 + level, x2, y2 + level), atol=0.1)
     # The plane is no such line.
     assert np.abs(lines[low] - walls[low]).max() > 0.2
+
+
+def test_ends_of_shifted_walls_are_where_they_meet() -> None:
+    # Two corners, a wall that ends in the middle of another one, and its free end.
+    walls = np.array([(0.0, 0.0, 10.0, 0.0), (10.0, 0.0, 10.0, 8.0), (4.0, 0.0, 4.0, 5.0), (10.0, 8.0, 6.0, 8.0)])
+    lines = walls + np.array([(0.0, 1.0) * 2, (-0.5, 0.0) * 2, (0.25, 0.0) * 2, (0.0, 0.0) * 2])
+    found = corners_of(walls, lines)
+    assert {tuple(place) for place in found.tolist()} == {
+        (0.0, 1.0), (9.5, 1.0), (9.5, 8.0), (4.25, 1.0), (4.25, 5.0), (6.0, 8.0),
+    }  # fmt: skip
+    # Walls that are not shifted end where they did.
+    assert {tuple(place) for place in corners_of(walls, walls).tolist()} == {
+        tuple(place) for place in walls.reshape(-1, 2).tolist()
+    }
 
 
 def test_learned_spots_are_fitted_to_the_surfaces() -> None:

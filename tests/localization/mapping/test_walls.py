@@ -117,6 +117,27 @@ def test_span_belongs_to_the_line_nearest_to_it(opened: MapEstimate) -> None:
     assert len(extract_walls(opened)) == before
 
 
+def test_span_along_a_surface_belongs_to_what_was_measured_there() -> None:
+    # Two parts of a wall along x, with lines at y = 0 and y = 2, and a wall across it.
+    x, y = np.array((1.0, 0.0)), np.array((0.0, 1.0))
+    lines = [walls._Line(n, a, at, np.zeros(0)) for n, a, at in ((y, x, 0.0), (y, x, 2.0), (x, -y, 30.0))]
+    runs_of = [[(50.0, 90.0, 20)], [(0.0, 10.0, 5), (14.0, 20.0, 5)], [(-80.0, 0.0, 30)]]
+
+    def owner(first: float, last: float, at: float, *, has_levels: bool = True) -> int | None:
+        return walls._owner_of(Span(0, 1, np.array((first, at, last, at)), 4), lines, runs_of, has_levels)
+
+    # A post of the second part is nearer to the line of the first one.
+    assert owner(5.0, 30.0, 0.5) == 1
+    assert owner(5.0, 30.0, 0.5, has_levels=False) == 0
+    assert owner(40.0, 60.0, 0.5) == 0
+    # Nothing was measured between both parts, so the level there is unknown; and not this far from a line.
+    assert owner(25.0, 45.0, 0.5) is None
+    assert owner(5.0, 30.0, 6.0) is None
+    # A wall that no echo is of is as known as its two points.
+    runs_of[0] = []
+    assert owner(25.0, 45.0, 0.5) == 0
+
+
 def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     (span,) = (span for span in uncrossed_spans(opened, free_paths(opened)) if {span.one, span.other} == {4, 5})
     # Between the outermost sonars and the ends, and between neighbours, less than a robot needs.
