@@ -112,6 +112,8 @@ ESCAPE_IN: Final = 8.0
 """Then the robot drives back by this much: the edge of a wall that reflects little may be near in other directions."""
 AHEAD_IN, BLOCKED_S = 3.0, 60.0
 """Distance from the body to what blocked a leg, and how long it counts."""
+SAME_DIRECTION_RAD: Final = 0.3
+"""A leg that was blocked is not tried again nearer to its direction than this."""
 SAME_HIT_IN: Final = 5.0
 """Two rays that end nearer to each other hit the same thing; one alone may be a bad reading."""
 MAX_REVISIONS: Final = 2
@@ -292,6 +294,8 @@ class Explorer:
         self._place: Place | None = None
         self._is_blocked = self._is_undecided = self._is_stuck = self._is_fast = self._is_going_back = False
         self._blocked_at: Point = inf, inf
+        self._blocked_legs: list[tuple[float, Point, float]] = []
+        """When legs were blocked, where, and in which directions."""
         self._revisions = 0
         self._free_directions: list[float] = []
         self._is_last = self._may_have_rooms = False
@@ -404,10 +408,23 @@ class Explorer:
             # Backwards is no turn.
             cost = START_TURN_IN * min(abs(turn), np.pi - abs(turn))
             been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_directions)
+            if self._was_blocked(pose, float(pose[2] + turn)):
+                continue
             if length - cost - 6.0 * been > best:
                 best, chosen = length - cost - 6.0 * been, (float(pose[2] + turn), length)
         direction, length = chosen
         return [(float(pose[0]) + length * np.cos(direction), float(pose[1]) + length * np.sin(direction))]
+
+    def _was_blocked(self, pose: Floats, direction_rad: float) -> bool:
+        """Return True if a leg was blocked near here, in about this direction, not long ago.
+
+        By more than what is ahead: beside a wall that is too near to measure, a leg is given up after some inches.
+        """
+        return any(
+            self._clock_s - since_s < BLOCKED_S and dist(place, pose[:2]) < ESCAPE_IN
+            and abs(angle_difference(blocked_rad, direction_rad)) < SAME_DIRECTION_RAD
+            for since_s, place, blocked_rad in self._blocked_legs
+        )  # fmt: skip
 
     def end_leg(self, pose: Floats, reason: str, direction_rad: float = 0.0) -> None:
         """Record what blocked a leg, ahead of the body, and which place was tried."""
@@ -417,6 +434,7 @@ class Explorer:
             # Twice at the same place: beside a wall too near to measure nothing but the way back is left.
             self._is_stuck = dist(self._blocked_at, pose[:2]) < SAME_PLACE_IN
             self._blocked_at = float(pose[0]), float(pose[1])
+            self._blocked_legs.append((self._clock_s, self._blocked_at, direction_rad))
             x, y = pose[:2] + reach * np.array((np.cos(direction_rad), np.sin(direction_rad)))
             self.blocked[float(x), float(y)] = self._clock_s
         if self._place is not None:

@@ -248,6 +248,25 @@ def test_robot_drives_away_from_what_blocks_the_next_leg(monkeypatch: pytest.Mon
     assert points_of(explorer.leg(1.0, pose, mapper, free_in)) == [(30.0, 20.0)]
 
 
+def test_leg_that_was_blocked_is_not_tried_again_from_there() -> None:
+    # Beside a wall that is too near to measure the guard stops a leg, however far it is free ahead.
+    explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((8.0, 3.0, 0.0))
+
+    def direction() -> float:
+        ((x, y),) = explorer._free_leg(at, lambda angle_rad: 50.0 if abs(angle_rad) < 0.1 else 20.0, 30.0)
+        return float(np.arctan2(y - at[1], x - at[0]))
+
+    at = pose
+    assert direction() == pytest.approx(0.0)
+    explorer.end_leg(pose, "blocked", 0.0)
+    assert abs(direction()) > 0.3
+    # From farther away, or later, it is.
+    at = np.array((17.0, 3.0, 0.0))
+    assert direction() == pytest.approx(0.0)
+    at, explorer._clock_s = pose, 61.0
+    assert direction() == pytest.approx(0.0)
+
+
 def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
     monkeypatch.setattr(explorer, "_chosen_leg", lambda *_: [(30.0, 20.0)])
