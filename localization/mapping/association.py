@@ -573,8 +573,13 @@ def residual_matrix(
     return np.where(fits, residual / std, np.inf), sensors, spots
 
 
-def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = None) -> tuple[Indices, Floats]:
-    """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`."""
+def assign(
+    estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = None, *, other_than: Indices | None = None
+) -> tuple[Indices, Floats]:
+    """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`.
+
+    With `other_than` (e,) another one than that, which still hides what is behind it.
+    """
     if not estimate.state.features:
         return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)
     # 1. What is behind a wall explains nothing, and a face is not measured from its back.
@@ -590,6 +595,8 @@ def assign(estimate: MapEstimate, echoes: Indices, sensors: Sensors | None = Non
     residual[echo[blocked], feature[blocked]] = np.inf
     if estimate.surface_in:
         residual[:, : len(walls)][_are_of_ends(estimate, residual, spots)] = np.inf
+    if other_than is not None:
+        residual[np.arange(len(echoes)), other_than] = np.inf
     # 2. The nearest, and nothing that is behind what echoes first unless that is farther off by FIRST_SIGMAS.
     sizes = np.abs(residual)
     if estimate.expects_first_echoes and not estimate.problem.rays:

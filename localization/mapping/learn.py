@@ -5,7 +5,7 @@
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
         join what was not recognized; births from all echoes; open, part, join, merge, split, swallow, absorb, posts,
-        square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; trim surfaces
+        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; trim surfaces
     once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
@@ -38,6 +38,7 @@ from localization.mapping.revision import (
     part_late_points,
     part_points,
     prune,
+    release_stretches,
     square,
     swallow,
     tie_points,
@@ -181,8 +182,8 @@ def revise(estimate: MapEstimate) -> int:
     estimate.associate()
     estimate.optimize()
     for change in (
-        open_faces, part_points, part_late_points, join_points, merge, split, swallow, absorb_points, add_posts, square,
-        prune,
+        open_faces, part_points, part_late_points, join_points, merge, split, swallow, absorb_points, add_posts,
+        release_stretches, square, prune,
     ):  # fmt: skip
         changed += change(estimate)
     tie_points(estimate)

@@ -3,6 +3,7 @@
     prune    a feature without which the echoes cost less than PENALTY more is removed
     part     a point that looks different from two sides, or since a return, becomes two
     posts    points on the surface of a wall, or in a corner of two, whose echoes the walls had explained
+    release  echoes of a level that other features explain nearly as well become theirs
     swallow  a short wall becomes a point
     join     two points become the ends of a wall
     absorb   a point on a wall becomes part of it
@@ -41,6 +42,7 @@ from localization.mapping.merging import JOIN_STEPS, MERGE_GAP_IN
 from localization.mapping.problem import (
     LEVEL_CELL_IN,
     NO_FEATURE,
+    NO_LEVEL,
     RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     Levels,
@@ -88,6 +90,9 @@ POST_APART_IN: Final = 2.0
 """Posts nearer to one another are one."""
 MIN_POST_GAIN: Final = 0.5 * PENALTY["point"]
 """Least fall of the costs of single echoes for which a post is tried: optimized, it may save more."""
+MAX_RELEASE_LOSS: Final = 5.0
+"""Rise of the costs of single echoes, less what their levels cost, up to which a stretch is tried without: optimized,
+the map may cost less."""
 ABSORB_LOSS: Final = 4.0 * PENALTY["point"]
 """If a point's echoes cost so much more on the wall, the map is not optimized without it: that could hardly pay."""
 TIE_IN: Final = 1.0
@@ -340,6 +345,54 @@ def _with_post(estimate: MapEstimate, tried: list[Floats]) -> MapEstimate | None
         if trial.cost < estimate.cost:
             return trial
     return None
+
+
+def release_stretches(estimate: MapEstimate) -> int:
+    """Leave stretches of levels to other features where the total cost falls, and return their number.
+
+    Each echo takes the nearest feature, and a level moves to its echoes: some of a post beside a corner, with their
+    feet on the other wall, become a stretch of that one, inches off its surface, though the map has the post.
+    """
+    if not estimate.surface_in:
+        return 0
+    released = 0
+    for wall, echoes, features in _other_features(estimate):
+        if not (estimate.assignment.feature[echoes] == wall).all():
+            continue
+        trial = estimate.copy()
+        feature = trial.assignment.feature.copy()
+        feature[echoes] = features
+        trial.assignment = replace(trial.assignment, feature=feature)
+        trial.measure_extents()
+        for _ in range(2):
+            trial.optimize(3)
+            trial.associate()
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            released += 1
+    return released
+
+
+def _other_features(estimate: MapEstimate) -> list[tuple[int, Indices, Indices]]:
+    """Return stretches of levels that hardly save anything: their walls, echoes (k,), and other features of these (k,).
+
+    Of walls that have other stretches as well.
+    """
+    levels, assignment, problem = estimate.state.levels, estimate.assignment, estimate.problem
+    echoes = np.flatnonzero(assignment.level != NO_LEVEL)
+    _, now = assign(estimate, echoes)
+    others, then = assign(estimate, echoes, other_than=assignment.feature[echoes])
+    # What the levels cost themselves, by the first row of each stretch.
+    begins = np.flatnonzero(~problem.level_stays(levels))
+    costs = np.square(problem.level_residuals(levels)[0]) + problem.level_penalties(levels, assignment)
+    saved = np.add.reduceat(costs, begins)
+    stretch = np.searchsorted(begins, assignment.level[echoes], side="right") - 1
+    np.add.at(saved, stretch, now - then)
+    counts = np.bincount(levels.wall[begins], minlength=len(estimate.state.walls))
+    return [
+        (int(levels.wall[begins[number]]), echoes[stretch == number], others[stretch == number])
+        for number in np.flatnonzero((saved > -MAX_RELEASE_LOSS) & (counts[levels.wall[begins]] > 1)).tolist()
+    ]
 
 
 def _post_places(estimate: MapEstimate, tried: Floats) -> Floats:

@@ -13,7 +13,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map
 from localization.mapping.problem import PARAMETER_STDS, MapProblem, Reflection
-from localization.mapping.revision import _post_places, add_posts, tie_points
+from localization.mapping.revision import _post_places, add_posts, release_stretches, tie_points
 from tests.localization.mapping.drives import ROOM, drive
 
 POST = 35.0, 74.0
@@ -77,3 +77,22 @@ def test_only_walls_with_levels_get_posts_and_each_once(posted: MapEstimate) -> 
     count = len(found.state.points)
     assert add_posts(found) == 0
     assert len(found.state.points) == count
+
+
+def test_level_that_only_explains_the_echoes_of_a_post_is_left_to_it(posted: MapEstimate) -> None:
+    missing = nearest(posted, (-25.0, 75.0))
+    others = [number for number in range(len(posted.state.points)) if number != missing]
+    found = with_levels(posted, others)
+    # 1. Without the corner a wall has levels for its echoes, and keeps some of them when the corner is known.
+    found.add_point(posted.state.points[missing])
+    found.associate()
+    assert found.state.levels.is_new.sum() == 1
+    before, cost = len(found.echoes_of(found.state.features - 1)), found.cost
+    # 2. They are the corner's.
+    assert release_stretches(found) == 1
+    assert found.state.levels.is_new.sum() == 0
+    assert len(found.echoes_of(found.state.features - 1)) > before
+    assert found.cost < cost - 5.0
+    # 3. No more than that, and nothing of planes.
+    assert release_stretches(found) == 0
+    assert release_stretches(posted) == 0
