@@ -89,6 +89,8 @@ SURFACE_SIGMAS: Final = 2.0
 END_IN, END_ASIDE_IN = 8.0, 1.0
 """A point so near to the end that a wall's echoes show, and to its line, is its end: sound from 30 in away that has its
 foot 8 in beyond comes an inch late."""
+MAX_STRAYS, MIN_INNER_FEET = 2, 4
+"""So few feet beyond a post at the end of a wall with levels are of something else, if so many are left."""
 MAX_GAP_IN: Final = 20.0
 """Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_RUN_SPOTS: Final = 3
@@ -96,7 +98,7 @@ MIN_RUN_SPOTS: Final = 3
 SIDED_ECHOES, SIDED = 4, 0.8
 """A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
 at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is. One
-with levels is none if so many echoes are from its back (`open_faces`)."""
+with levels is none if so many echoes of it or of its posts are from its back (`open_faces`)."""
 ALONE_SIGMAS: Final = 1.5
 """An echo of a wall that is nearer to the range of a point may be of the point."""
 MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
@@ -321,10 +323,13 @@ class MapEstimate:
             order = np.argsort(feet, kind="stable")
             feet, is_alone = feet[order], is_alone[order]
             is_sided = len(signs) >= SIDED_ECHOES and abs(signs.mean()) >= SIDED
-            if is_sided and not (self.surface_in and _fewer_sign(signs) >= SIDED_ECHOES):
+            if is_sided and not (self.surface_in and self._is_thin(wall, signs)):
                 sides[wall] = np.sign(signs.mean())
             if len(feet) > 3:
                 points = self._points_along(wall)
+                if self.surface_in:
+                    inner = _inner_feet(feet, points)
+                    feet, is_alone = feet[inner], is_alone[inner]
                 feet = np.clip(feet, *_end_points(points, feet[1], feet[-2]))
                 extents[wall] = feet[1], feet[-2]
                 runs.append(_runs(wall, feet[1:-1], is_alone[1:-1], points, passed[wall], self._radius_in))
@@ -332,6 +337,19 @@ class MapEstimate:
                 extents[wall] = self.extents[wall]
                 runs.append(self.runs[self.runs[:, 0] == wall])
         self.extents, self.runs, self.sides = extents, np.concatenate(runs), sides
+
+    def _is_thin(self, wall: int, signs: Floats) -> bool:
+        """Return True if enough echoes of a wall, or of posts on its surface, are from either side of it.
+
+        Posts near its ends may be corners of both faces of a thick wall.
+        """
+        (low, high), walls = self.extents[wall], len(self.state.walls)
+        along, across = along_and_across(self.state.points, self.state.walls[wall : wall + 1])
+        is_post = (np.abs(across) < self.surface_in) & (along > low + END_IN) & (along < high - END_IN)
+        echoes = np.flatnonzero(np.isin(self.assignment.feature, walls + np.flatnonzero(is_post[:, 0])))
+        face = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes).face
+        of_posts = sides_of(face, self.state.walls[wall : wall + 1])[:, 0]
+        return _fewer_sign(np.concatenate((signs, of_posts))) >= SIDED_ECHOES
 
     @property
     def _radius_in(self) -> float:
@@ -413,6 +431,22 @@ class MapEstimate:
 def _fewer_sign(signs: Floats) -> int:
     """Return the number of those of the rarer sign."""
     return int(min((signs < 0.0).sum(), (signs > 0.0).sum()))
+
+
+def _inner_feet(feet: Floats, points: Floats) -> slice:
+    """Return the feet (sorted) without one or two at either end that are alone beyond a point on the line.
+
+    Beyond a post a level may be anywhere, and so takes echoes of others; with them the wall would go on past its end.
+    """
+    first, last = 0, len(feet)
+    for count in range(1, min(MAX_STRAYS, len(feet) - MIN_INNER_FEET) + 1):
+        low, high = feet[count - 1], feet[count]
+        if high - low > END_IN and ((points > low) & (points < high + END_ASIDE_IN)).any():
+            first = count
+        low, high = feet[-count - 1], feet[-count]
+        if high - low > END_IN and ((points > low - END_ASIDE_IN) & (points < high)).any():
+            last = len(feet) - count
+    return slice(first, last) if last - first >= MIN_INNER_FEET else slice(None)
 
 
 def _end_points(points: Floats, low: float, high: float) -> tuple[float, float]:

@@ -49,6 +49,7 @@ from localization.mapping.problem import (
     robust_cost,
 )
 from localization.mapping.spans import (
+    DEEP_SIGMAS,
     MAX_SPAN_IN,
     MIN_CORNER_RAD,
     Span,
@@ -574,6 +575,10 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         if supports.sum() < MIN_JOIN_ECHOES:
             return False
     trial = _with_wall(estimate, line, extent)
+    if estimate.surface_in:
+        # A surface that was measured from a few places alone may be a point that is off the line.
+        between_in = DEEP_SIGMAS * problem.reflection.surface_std_in
+        trial = min(trial, _with_wall(estimate, line, extent, between_in), key=lambda candidate: candidate.cost)
     penalty = PENALTY["wall"] + float(trial.surface_costs[-1]) if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
     if trial.cost - penalty > estimate.cost:
         return False
@@ -616,16 +621,19 @@ def _line_of(span: Span) -> tuple[Floats, Floats]:
     return np.array((angle, float(first @ normal))), extent
 
 
-def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats) -> MapEstimate:
-    """Return the map with one wall (2,) more, optimized. Points in its middle are part of it, unless it has levels."""
+def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, between_in: float | None = None) -> MapEstimate:
+    """Return the map with one wall (2,) more, optimized, without the points in its middle up to so far off its line.
+
+    By default those on the line of a plane are part of it; a wall with a surface has posts.
+    """
     trial, state = estimate.copy(), estimate.state
     c, s = np.cos(line[0]), np.sin(line[0])
     along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
     between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
-    # A wall with a surface has posts.
-    if not estimate.surface_in:
-        for number in reversed(np.flatnonzero(between & (np.abs(across) < POINT_ON_WALL_IN))):
-            trial.remove(len(state.walls) + int(number))
+    if between_in is None:
+        between_in = 0.0 if estimate.surface_in else POINT_ON_WALL_IN
+    for number in reversed(np.flatnonzero(between & (np.abs(across) < between_in))):
+        trial.remove(len(state.walls) + int(number))
     trial.add_wall(line, extent)
     _settle(trial)
     return trial

@@ -65,8 +65,9 @@ FACING_COS: Final = 0.98
 FACING_MARGIN: Final = 0.25
 """The outer quarters of a span are too near to its points, whose ranges are nearly those of a wall."""
 RECESS_IN: Final = 1.5
-"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in. Of walls with
-levels it is as far as their surface may be from their line."""
+"""So much beyond a span, what a sonar measures is behind it: 3 standard deviations of a range of 40 in."""
+DEEP_SIGMAS: Final = 3.0
+"""The same of walls with levels, in standard deviations of these."""
 SHORT_IN: Final = 1.0
 """What ends so much before a span was measured off something else."""
 CLEAR_OF_ENDS_RAD: Final = radians(0.5)
@@ -157,7 +158,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     echoes, found = estimate.echoes(), list[Span]()
     sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
     is_alone = _are_alone(estimate, echoes) if estimate.surface_in else np.zeros(len(echoes), dtype=np.bool_)
-    depth_in = estimate.surface_in or RECESS_IN
+    depth_in = max(DEEP_SIGMAS * estimate.problem.reflection.surface_std_in, RECESS_IN)
     for number in np.flatnonzero(is_uncrossed):
         one, other = int(ones[number]), int(others[number])
         frame = _Frame(ends[number, :2], along[number], float(lengths[one, other]))

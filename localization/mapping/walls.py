@@ -224,12 +224,12 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
     spans += find_wall_ends(estimate, (starts, ends))
     runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(lines)]
-    has_levels = estimate.problem.reflection.surface_std_in > 0.0
-    owners = [_owner_of(span, lines, runs_of, has_levels) for span in spans] if lines else []
+    has_levels, near_in = estimate.surface_in > 0.0, POINT_ON_LINE_IN + estimate.surface_in
+    owners = [_owner_of(span, lines, runs_of, near_in) for span in spans] if lines else []
     pieces = []
     for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
         own = [span for span, owner in zip(spans, owners, strict=True) if owner == number]
-        for low, high, count in _with_spans(runs, line, own):
+        for low, high, count in _with_spans(runs, line, own, near_in):
             within = [run for run in runs if run[0] < high and run[1] > low]
             spots = (min(run[0] for run in within), max(run[1] for run in within)) if within else (low, high)
             places = np.array((line.at(low), line.at(high)))
@@ -380,32 +380,34 @@ def _without_strays(feet: Floats, points: Floats) -> Floats:
 
 
 def _owner_of(
-    span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], has_levels: bool
+    span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], near_in: float
 ) -> int | None:
     """Return the number of the nearest line to a span; of walls with levels that of which most was measured there.
+
+    Lines with levels are near up to farther away than POINT_ON_LINE_IN.
 
     A wall of two parts with a gap between has two lines, of the mean level of each: a post of the one part may be
     nearer to the line of the other. Where nothing was measured of the nearest one either, its level is unknown.
     """
     off = np.array([line.off(span.ends) for line in lines])
     nearest = int(off.argmin())
-    if not has_levels or not runs_of[nearest]:
+    if near_in == POINT_ON_LINE_IN or not runs_of[nearest]:
         return nearest
     common_in = []
     for line, runs in zip(lines, runs_of, strict=True):
         first, last = sorted((span.ends.reshape(2, 2) @ line.along).tolist())
         common_in.append(sum(max(min(high, last) - max(low, first), 0.0) for low, high, _ in runs))
-    measured = np.where(off < POINT_ON_LINE_IN, common_in, 0.0)
+    measured = np.where(off < near_in, common_in, 0.0)
     return int(measured.argmax()) if measured.max() > 0.0 else None
 
 
 def _with_spans(
-    runs: list[tuple[float, float, int]], line: _Line, spans: list[Span]
+    runs: list[tuple[float, float, int]], line: _Line, spans: list[Span], near_in: float
 ) -> list[tuple[float, float, int]]:
-    """Return runs of feet; those on a line between the points of a span become one, from point to point."""
+    """Return runs of feet; those on a line between the points of a near span become one, from point to point."""
     for span in spans:
         ends = span.ends.reshape(2, 2)
-        if line.off(span.ends) > POINT_ON_LINE_IN:
+        if line.off(span.ends) > near_in:
             continue
         low, high = sorted((ends @ line.along).tolist())
         within = [run for run in runs if run[0] < high and run[1] > low]

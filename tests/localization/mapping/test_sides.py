@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import radians
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from localization.mapping.association import (
     MapEstimate,
     Mask,
     _hidden_points,
+    _inner_feet,
     _runs,
     assign,
     ends_of_parts,
@@ -27,10 +29,12 @@ from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.measurements import DriveCollector, rotate
 from localization.mapping.problem import (
     NO_FEATURE,
+    PARAMETER_STDS,
     RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     Assignment,
     MapProblem,
+    Reflection,
     Sensors,
     robust_cost,
     robust_weight,
@@ -297,6 +301,42 @@ def test_spots_beside_the_posts_of_a_door_do_not_close_it(middle: list[float], i
     narrow = np.sort(np.concatenate((np.linspace(0.0, 38.0, 20), np.linspace(48.0, 100.0, 20))))
     assert len(_runs(3, narrow, every(narrow), np.array([35.0, 50.0]), nowhere, 9.0)) == 1
     assert len(_runs(3, narrow, every(narrow), np.array([0.0, 100.0]), nowhere, 9.0)) == 1
+
+
+@pytest.mark.parametrize(("feet", "points", "left"), [
+    ([51.0, 52.0, 69.0, 70.0, 75.0, 80.0, 84.0], [69.6], [69.0, 70.0, 75.0, 80.0, 84.0]),
+    ([69.0, 70.0, 75.0, 80.0, 99.0], [84.0, 120.0], [69.0, 70.0, 75.0, 80.0]),
+    ([51.0, 69.0, 70.0, 75.0, 80.0, 99.0], [69.0, 81.0], [69.0, 70.0, 75.0, 80.0]),
+    ([51.0, 52.0, 69.0, 70.0, 75.0, 80.0], [30.0], None),  # no post between them
+    ([51.0, 62.0, 69.0, 70.0, 75.0, 80.0], [69.6], None),  # no gap
+    ([51.0, 52.0, 53.0, 69.0, 70.0, 75.0, 80.0], [69.6], None),  # more than two
+    ([51.0, 69.0, 70.0, 75.0], [69.6], None),  # too few would be left
+    ([51.0, 69.0, 70.0, 75.0, 99.0], [69.6, 81.0], None),
+])  # fmt: skip
+def test_feet_alone_beyond_a_post_are_left_out(
+    feet: list[float], points: list[float], left: list[float] | None
+) -> None:
+    found = _inner_feet(np.array(feet), np.array(points))
+    assert feet[found] == (left or feet)
+
+
+def test_posts_that_are_seen_from_both_sides_make_a_wall_thin(estimate: MapEstimate) -> None:
+    reflection = Reflection(half_cone_rad=radians(25.0), surface_std_in=1.75, surface_length_in=24.0)
+    sensors = sensors_at(estimate.state.poses, estimate.state.parameters, estimate.problem.trajectory, slice(None))
+    left, right = (np.flatnonzero(side)[:4] for side in (sensors.face[:, 0] < 20.0, sensors.face[:, 0] > 50.0))
+    for y, count, is_thin in ((25.0, 4, True), (25.0, 3, False), (-20.0, 4, False)):
+        # A wall through the middle of the room, with a post on it, or near its end.
+        made = estimate.copy()
+        made.problem = MapProblem(made.problem.trajectory, 16, parameter_stds=PARAMETER_STDS, reflection=reflection)
+        wall = len(made.state.walls)
+        made.add_wall(np.array((0.0, 35.0)), np.array((-25.0, 75.0)))
+        made.add_point(np.array((36.0, y)))
+        feature = made.assignment.feature.copy()
+        feature[np.concatenate((left, right[:count]))] = made.state.features - 1
+        made.assignment = replace(made.assignment, feature=feature)
+        assert made._is_thin(wall, -np.ones(6)) is is_thin
+        # Echoes of the wall itself count as well.
+        assert made._is_thin(wall, np.array((-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0)))
 
 
 def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate) -> None:
