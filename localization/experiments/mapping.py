@@ -137,7 +137,7 @@ MIN_ECHO_IN, NO_ECHO_IN = 6.0, 255.0
 CLOSED_IN: Final = 2.0
 """A loop is closed if the last position is so near to where the first one puts it."""
 MEETING_IN, MIN_SLOPE = 0.1, 0.1
-"""Walls meet that are so near and at an angle whose sine is larger."""
+"""Walls meet if they are nearer than the one, and the sine of the angle between them is larger than the other."""
 OTHER_SEED: Final = 10_000
 """Added to the seed of the drive that compares localization, unless surfaces depend on it."""
 SETUPS: Final = ("measured", "noisy", "worn", BUILDING_SETUP)
@@ -525,6 +525,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     near_length, false = 0.0, 0
     offsets, angles, z, closed = [], [], [], []
     true_lines = walls if trial.surfaces is None else lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
+    has_line = np.zeros(len(walls), dtype=np.bool_)
     for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
@@ -535,7 +536,9 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
             continue
         measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
         number, offset, angle = _error(learned, measured.mean(axis=0), lines)
-        true_lines = np.where(np.arange(len(walls))[:, None] == number, lines, true_lines)
+        # Of several parts of a wall the longest, which comes first, has its line.
+        is_new = (np.arange(len(walls)) == number) & ~has_line
+        true_lines, has_line = np.where(is_new[:, None], lines, true_lines), has_line | is_new
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))

@@ -98,7 +98,7 @@ MIN_RUN_SPOTS: Final = 3
 SIDED_ECHOES, SIDED = 4, 0.8
 """A wall that so many echoes have measured from one side, that is with a mean sign of their sonars' distances from it
 at least so far from 0, is a face: nothing is assigned to it from its back, where the other face of a thick wall is. One
-with levels is none if so many echoes of it or of its posts are from its back (`open_faces`)."""
+with levels is none if so many echoes of it or of its posts are from its back (`MapEstimate._is_thin`)."""
 ALONE_SIGMAS: Final = 1.5
 """An echo of a wall that is nearer to the range of a point may be of the point."""
 MIN_DOOR_IN, MAX_DOOR_IN = 20.0, 60.0
@@ -146,8 +146,8 @@ class MapEstimate:
     expects_first_echoes: bool = False
     """True for a finished map, whose walls must return the first echo (`_are_behind`). While a map grows, a wrong wall
     would take echoes of others."""
-    _measured: tuple[object, ...] = ()
-    """What `measure_levels` has given levels to: problem, state, features and levels of the echoes."""
+    _level_inputs: tuple[object, ...] = field(default=(), repr=False, compare=False)
+    """Problem, state, and features and levels of the echoes, as they were after the last `measure_levels`."""
 
     @classmethod
     def start(cls, problem: MapProblem) -> MapEstimate:
@@ -159,7 +159,7 @@ class MapEstimate:
         """Take over another estimate of the same problem."""
         self.state, self.assignment = other.state, other.assignment
         self.extents, self.runs, self.sides = other.extents, other.runs, other.sides
-        self._measured = other._measured
+        self._level_inputs = other._level_inputs
 
     def copy(self) -> MapEstimate:
         """Return an estimate that changes independently; arrays are replaced, never changed in place."""
@@ -256,17 +256,17 @@ class MapEstimate:
             levels = divided(self.problem, replace(self.state, levels=levels), self.assignment, had_level)
             variances = gate_variances(self.problem, levels, self.assignment)
             self.state = replace(self.state, levels=replace(levels, var_in2=variances))
-        self._measured = self._of_levels
+        self._level_inputs = self._present_inputs
 
     @property
-    def _of_levels(self) -> tuple[object, ...]:
-        """What levels depend on. Arrays are replaced, never changed in place."""
+    def _present_inputs(self) -> tuple[object, ...]:
+        """All that levels depend on. Arrays are replaced, never changed in place."""
         return self.problem, self.state, self.assignment.feature, self.assignment.level
 
     @property
     def _are_measured(self) -> bool:
         """True if nothing that levels depend on has changed since they were measured."""
-        return bool(self._measured) and all(map(is_, self._measured, self._of_levels))
+        return bool(self._level_inputs) and all(map(is_, self._level_inputs, self._present_inputs))
 
     def _feet(self, echoes: Indices) -> Floats:
         """Return the coordinates (e,) along the walls that explain echoes at which these were reflected."""
@@ -341,12 +341,14 @@ class MapEstimate:
     def _is_thin(self, wall: int, signs: Floats) -> bool:
         """Return True if enough echoes of a wall, or of posts on its surface, are from either side of it.
 
-        Posts near its ends may be corners of both faces of a thick wall.
+        Posts near the ends of its parts may be corners of both faces of a thick wall, or of a door in it.
         """
-        (low, high), walls = self.extents[wall], len(self.state.walls)
         along, across = along_and_across(self.state.points, self.state.walls[wall : wall + 1])
-        is_post = (np.abs(across) < self.surface_in) & (along > low + END_IN) & (along < high - END_IN)
-        echoes = np.flatnonzero(np.isin(self.assignment.feature, walls + np.flatnonzero(is_post[:, 0])))
+        is_within = np.zeros(along.shape, dtype=np.bool_)
+        for number, low, high in parts_of(self.runs, self.extents).tolist():
+            is_within |= (number == wall) & (along > low + END_IN) & (along < high - END_IN)
+        posts = len(self.state.walls) + np.flatnonzero(is_within & (np.abs(across) < self.surface_in))
+        echoes = np.flatnonzero(np.isin(self.assignment.feature, posts))
         face = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes).face
         of_posts = sides_of(face, self.state.walls[wall : wall + 1])[:, 0]
         return _fewer_sign(np.concatenate((signs, of_posts))) >= SIDED_ECHOES
@@ -434,7 +436,7 @@ def _fewer_sign(signs: Floats) -> int:
 
 
 def _inner_feet(feet: Floats, points: Floats) -> slice:
-    """Return the feet (sorted) without one or two at either end that are alone beyond a point on the line.
+    """Return which feet (sorted) are left without one or two at either end that are alone beyond a point on the line.
 
     Beyond a post a level may be anywhere, and so takes echoes of others; with them the wall would go on past its end.
     """
@@ -520,7 +522,10 @@ def along_and_across(points: Floats, walls: Floats) -> tuple[Floats, Floats]:
 def _wall_geometry(
     problem: MapProblem, state: MapState, sensors: Sensors, numbers: slice = slice(None)
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return range, cosine of the angle off the axis, foot (e, w) of each wall, and the variance of its level."""
+    """Return range, cosine of the angle off the axis, foot (e, w) of each wall, and the variance of its level.
+
+    Of exact rays the cosine is 1, or -1 where a ray leads away from the wall or along it.
+    """
     walls = state.walls[numbers]
     c, s = np.cos(walls[None, :, 0]), np.sin(walls[None, :, 0])
     offset = walls[None, :, 1]
@@ -612,7 +617,7 @@ def assign(
 ) -> tuple[Indices, Floats]:
     """Return the feature of each echo (e,), and the robust cost (e,) by it; see `residual_matrix`.
 
-    With `other_than` (e,) another one than that, which still hides what is behind it.
+    With `other_than` (e,) another feature than that one, which still blocks paths.
     """
     if not estimate.state.features:
         return np.full(len(echoes), NO_FEATURE), np.full(len(echoes), ROBUST_LIMIT**2)

@@ -393,6 +393,7 @@ class Explorer:
             mapper.revise()
             self._solution = _Solution()
             self.blocked.clear()
+            self._blocked_legs.clear()
         # 2. At the end a straight leg.
         if path is None:
             self._is_last = True
@@ -403,13 +404,13 @@ class Explorer:
     def _free_leg(self, pose: Floats, free_in: Callable[[float], float], most_in: float) -> list[Point]:
         """Return a straight leg in the direction with the longest free distance, less a distance for the turn."""
         best, chosen = -np.inf, (0.0, 0.0)
-        for turn in np.linspace(-np.pi, np.pi, 16, endpoint=False):
+        turns = np.linspace(-np.pi, np.pi, 16, endpoint=False)
+        is_open = np.array([not self._was_blocked(pose, float(pose[2] + turn)) for turn in turns])
+        for turn in turns[is_open] if is_open.any() else turns:
             length = min(free_in(float(pose[2]) + float(turn)), most_in)
             # Backwards is no turn.
             cost = START_TURN_IN * min(abs(turn), np.pi - abs(turn))
             been = sum(abs(angle_difference(other, float(pose[2] + turn))) < 1.0 for other in self._free_directions)
-            if self._was_blocked(pose, float(pose[2] + turn)):
-                continue
             if length - cost - 6.0 * been > best:
                 best, chosen = length - cost - 6.0 * been, (float(pose[2] + turn), length)
         direction, length = chosen
@@ -418,7 +419,8 @@ class Explorer:
     def _was_blocked(self, pose: Floats, direction_rad: float) -> bool:
         """Return True if a leg was blocked near here, in about this direction, not long ago.
 
-        By more than what is ahead: beside a wall that is too near to measure, a leg is given up after some inches.
+        What blocked it (`blocked`) need not be ahead: beside a wall that is too near to measure, the guard ends a leg
+        after some inches, however far it is free.
         """
         return any(
             self._clock_s - since_s < BLOCKED_S and dist(place, pose[:2]) < ESCAPE_IN

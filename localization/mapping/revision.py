@@ -41,6 +41,7 @@ from localization.mapping.measurements import Indices
 from localization.mapping.merging import JOIN_STEPS, MERGE_GAP_IN
 from localization.mapping.problem import (
     LEVEL_CELL_IN,
+    MIN_GAIN,
     NO_FEATURE,
     NO_LEVEL,
     RIGHT_ANGLE_STD_RAD,
@@ -368,14 +369,15 @@ def release_stretches(estimate: MapEstimate) -> int:
         for _ in range(2):
             trial.optimize(3)
             trial.associate()
-        if trial.cost < estimate.cost:
+        is_released = (trial.assignment.feature[echoes] != wall).any()
+        if is_released and trial.cost < estimate.cost - MIN_GAIN:
             estimate.replace_by(trial)
             released += 1
     return released
 
 
 def _other_features(estimate: MapEstimate) -> list[tuple[int, Indices, Indices]]:
-    """Return stretches of levels that hardly save anything: their walls, echoes (k,), and other features of these (k,).
+    """Return stretches of levels that are hardly worth it: their walls, echoes (k,), and other features of these (k,).
 
     Of walls that have other stretches as well.
     """
@@ -383,16 +385,16 @@ def _other_features(estimate: MapEstimate) -> list[tuple[int, Indices, Indices]]
     echoes = np.flatnonzero(assignment.level != NO_LEVEL)
     _, now = assign(estimate, echoes)
     others, then = assign(estimate, echoes, other_than=assignment.feature[echoes])
-    # What the levels cost themselves, by the first row of each stretch.
+    # What it saves to leave each stretch to others: what its levels cost, less what its echoes cost more.
     begins = np.flatnonzero(~problem.level_stays(levels))
     costs = np.square(problem.level_residuals(levels)[0]) + problem.level_penalties(levels, assignment)
-    saved = np.add.reduceat(costs, begins)
+    gain = np.add.reduceat(costs, begins)
     stretch = np.searchsorted(begins, assignment.level[echoes], side="right") - 1
-    np.add.at(saved, stretch, now - then)
+    np.add.at(gain, stretch, now - then)
     counts = np.bincount(levels.wall[begins], minlength=len(estimate.state.walls))
     return [
         (int(levels.wall[begins[number]]), echoes[stretch == number], others[stretch == number])
-        for number in np.flatnonzero((saved > -MAX_RELEASE_LOSS) & (counts[levels.wall[begins]] > 1)).tolist()
+        for number in np.flatnonzero((gain > -MAX_RELEASE_LOSS) & (counts[levels.wall[begins]] > 1)).tolist()
     ]
 
 
@@ -574,14 +576,16 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > extent[0]) & (feet < extent[1])
         if supports.sum() < MIN_JOIN_ECHOES:
             return False
-    trial = _with_wall(estimate, line, extent)
-    if estimate.surface_in:
+    trials = [_with_wall(estimate, line, extent)]
+    within_in = DEEP_SIGMAS * problem.reflection.surface_std_in
+    if len(_points_between(estimate, line, extent, within_in)) and estimate.surface_in:
         # A surface that was measured from a few places alone may be a point that is off the line.
-        between_in = DEEP_SIGMAS * problem.reflection.surface_std_in
-        trial = min(trial, _with_wall(estimate, line, extent, between_in), key=lambda candidate: candidate.cost)
-    penalty = PENALTY["wall"] + float(trial.surface_costs[-1]) if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
-    if trial.cost - penalty > estimate.cost:
+        trials.append(_with_wall(estimate, line, extent, within_in))
+    penalty = PENALTY["wall"] if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
+    costs = [trial.cost - penalty - (float(trial.surface_costs[-1]) if span.is_wall else 0.0) for trial in trials]
+    if min(costs) > estimate.cost:
         return False
+    trial = trials[int(np.argmin(costs))]
     estimate.replace_by(trial)
     return True
 
@@ -621,19 +625,23 @@ def _line_of(span: Span) -> tuple[Floats, Floats]:
     return np.array((angle, float(first @ normal))), extent
 
 
-def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, between_in: float | None = None) -> MapEstimate:
+def _points_between(estimate: MapEstimate, line: Floats, extent: Floats, within_in: float) -> Indices:
+    """Return the numbers of the points so near to a line (2,), well within an extent (2,) of it."""
+    along, across = (of_wall[:, 0] for of_wall in along_and_across(estimate.state.points, line[None]))
+    is_between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
+    return np.flatnonzero(is_between & (np.abs(across) < within_in))
+
+
+def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, within_in: float | None = None) -> MapEstimate:
     """Return the map with one wall (2,) more, optimized, without the points in its middle up to so far off its line.
 
     By default those on the line of a plane are part of it; a wall with a surface has posts.
     """
-    trial, state = estimate.copy(), estimate.state
-    c, s = np.cos(line[0]), np.sin(line[0])
-    along, across = state.points @ (-s, c), state.points @ (c, s) - line[1]
-    between = (along > extent[0] + POINT_ON_WALL_IN) & (along < extent[1] - POINT_ON_WALL_IN)
-    if between_in is None:
-        between_in = 0.0 if estimate.surface_in else POINT_ON_WALL_IN
-    for number in reversed(np.flatnonzero(between & (np.abs(across) < between_in))):
-        trial.remove(len(state.walls) + int(number))
+    trial, walls = estimate.copy(), len(estimate.state.walls)
+    if within_in is None:
+        within_in = 0.0 if estimate.surface_in else POINT_ON_WALL_IN
+    for number in reversed(_points_between(estimate, line, extent, within_in)):
+        trial.remove(walls + int(number))
     trial.add_wall(line, extent)
     _settle(trial)
     return trial

@@ -6,7 +6,7 @@
     S  = D - C' T^-1 C              S db = h - C' T^-1 g,   dx = T^-1 g - T^-1 C db
 
 S^-1 is the covariance of the border. Every second pose is eliminated in one array operation, so a trajectory of n poses
-takes log2 n of them. Each one adds its part of C' T^-1 C, so T^-1 itself is applied to one column only, g - C db.
+takes log2 n of them. Each elimination adds its part of C' T^-1 C, so a step applies T^-1 to one column, g - C db.
 
 References
 ----------
@@ -127,7 +127,8 @@ def invert_block_tridiagonal(diagonal: Floats, upper: Floats) -> tuple[Floats, F
 class _Halving:
     """The odd ones of n unknowns of k numbers expressed by their neighbours.
 
-    x_o = inverse right_o - by_left x_(o-1) - by_right x_(o+1). The last one has no right neighbour if n is even.
+    x_o = inverse right_o - by_left x_(o-1) - by_right x_(o+1). Of o odd ones e have a right neighbour: all, or all but
+    the last if n is even.
 
     Attributes
     ----------

@@ -20,12 +20,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import log
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Assignment, Levels, MapProblem, MapState
+
+SAME_COST: Final = 1e-9
+"""Costs that differ by less are equal up to rounding."""
 
 
 def divided(
@@ -80,8 +84,8 @@ def stretches(
     count = len(values)
     sums = np.zeros((3, count + 1))
     np.cumsum((information, information * values, information * values**2), axis=1, out=sums[:, 1:])
-    # 1. The cost of each stretch, to the cell before an end (rows) from a first one (columns). The stays that a change
-    # replaces are taken off: what is left of them is the same for all divisions.
+    # 1. The cost of each stretch, to the cell before an end (rows) from a first one (columns). All divisions have
+    # -2 (count - 1) ln(1 - p) in common, which is left out: so a change costs 2 ln((1 - p) / p).
     w, wz, wzz = sums[:, 1:, None] - sums[:, None, :-1]
     w = np.maximum(w, 0.0)
     costs = wzz - wz**2 / (w + std**-2) + np.log1p(w * std**2)
@@ -90,7 +94,8 @@ def stretches(
     best, start = np.zeros(count + 1), np.zeros(count + 1, dtype=np.intp)
     for end in range(1, count + 1):
         cost = best[:end] + costs[end - 1, :end]
-        start[end] = cost.argmin()
+        # The first of equal ones: where in a gap without echoes a level changes makes no difference.
+        start[end] = (cost < cost.min() + SAME_COST).argmax()
         best[end] = cost[start[end]]
     # 3. Its stretches, the last one first.
     begins, levels, end = np.zeros(count, dtype=np.bool_), np.zeros(count), count

@@ -41,6 +41,7 @@ from localization.mapping.spans import (
     MIN_CORNER_RAD,
     MIN_CROSSINGS,
     MIN_PIECE_IN,
+    MIN_SQUARE_COS,
     MIN_STOPPED,
     OVERSHOOT_IN,
     POINT_ON_LINE_IN,
@@ -225,7 +226,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     spans += find_wall_ends(estimate, (starts, ends))
     runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(lines)]
     has_levels, near_in = estimate.surface_in > 0.0, POINT_ON_LINE_IN + estimate.surface_in
-    owners = [_owner_of(span, lines, runs_of, near_in) for span in spans] if lines else []
+    owners = [_owner_of(span, lines, runs_of, near_in, has_levels) for span in spans] if lines else []
     pieces = []
     for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
         own = [span for span, owner in zip(spans, owners, strict=True) if owner == number]
@@ -380,25 +381,27 @@ def _without_strays(feet: Floats, points: Floats) -> Floats:
 
 
 def _owner_of(
-    span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], near_in: float
+    span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], near_in: float, has_levels: bool
 ) -> int | None:
-    """Return the number of the nearest line to a span; of walls with levels that of which most was measured there.
-
-    Lines with levels are near up to farther away than POINT_ON_LINE_IN.
+    """Return the number of the nearest line to a span; of walls with levels the nearest that was measured there.
 
     A wall of two parts with a gap between has two lines, of the mean level of each: a post of the one part may be
-    nearer to the line of the other. Where nothing was measured of the nearest one either, its level is unknown.
+    nearer to the line of the other. Between the parts the level is unknown, and a span belongs to none of them: None.
+    A line without any echoes of its own is as well known as its posts.
     """
+    ends = span.ends.reshape(2, 2)
     off = np.array([line.off(span.ends) for line in lines])
     nearest = int(off.argmin())
-    if near_in == POINT_ON_LINE_IN or not runs_of[nearest]:
+    if not has_levels or not runs_of[nearest]:
         return nearest
-    common_in = []
-    for line, runs in zip(lines, runs_of, strict=True):
-        first, last = sorted((span.ends.reshape(2, 2) @ line.along).tolist())
-        common_in.append(sum(max(min(high, last) - max(low, first), 0.0) for low, high, _ in runs))
-    measured = np.where(off < near_in, common_in, 0.0)
-    return int(measured.argmax()) if measured.max() > 0.0 else None
+    direction = (ends[1] - ends[0]) / max(float(np.hypot(*(ends[1] - ends[0]))), 1e-9)
+    is_measured = np.zeros(len(lines), dtype=np.bool_)
+    for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
+        first, last = sorted((ends @ line.along).tolist())
+        common_in = sum(max(min(high, last) - max(low, first), 0.0) for low, high, _ in runs)
+        is_measured[number] = abs(direction @ line.along) > MIN_SQUARE_COS and common_in >= MIN_PIECE_IN
+    is_measured &= off < near_in
+    return int(np.where(is_measured, off, np.inf).argmin()) if is_measured.any() else None
 
 
 def _with_spans(

@@ -1,4 +1,4 @@
-"""Helpers of all packages: files, arguments, exit codes, signals; Ctrl-C and threads while a command is imported.
+"""Helpers of all packages: files, arguments, exit codes, signals; Ctrl-C during imports, threads of numpy.
 
 The `__main__` modules of the commands import this package before everything else, so it imports nothing slow itself:
 until the block begins, Python answers Ctrl-C by a traceback.
@@ -30,9 +30,8 @@ def exit_on_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-
 def use_one_thread() -> None:
-    """Let the BLAS of numpy compute in one thread, unless the environment says otherwise; before numpy is imported.
+    """Set OPENBLAS_NUM_THREADS to 1 unless it is set. Call it before numpy is imported.
 
     The matrices here are small. OpenBLAS would share their products among all cores, whose threads then wait for more
     at full load: a map took twice the processor time on two cores, and no less time.

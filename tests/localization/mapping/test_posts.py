@@ -79,7 +79,7 @@ def test_only_walls_with_levels_get_posts_and_each_once(posted: MapEstimate) -> 
     assert len(found.state.points) == count
 
 
-def test_level_that_only_explains_the_echoes_of_a_post_is_left_to_it(posted: MapEstimate) -> None:
+def test_level_of_the_echoes_of_a_post_is_left_to_the_post(posted: MapEstimate) -> None:
     missing = nearest(posted, (-25.0, 75.0))
     others = [number for number in range(len(posted.state.points)) if number != missing]
     found = with_levels(posted, others)

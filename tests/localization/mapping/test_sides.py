@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import radians
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
+from localization.mapping import association
 from localization.mapping.association import (
     MapEstimate,
     Mask,
@@ -29,10 +31,12 @@ from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.measurements import DriveCollector, rotate
 from localization.mapping.problem import (
     NO_FEATURE,
+    NO_LEVEL,
     PARAMETER_STDS,
     RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     Assignment,
+    Levels,
     MapProblem,
     Reflection,
     Sensors,
@@ -41,6 +45,7 @@ from localization.mapping.problem import (
     sensors_at,
 )
 from localization.mapping.revision import part_late_points, part_points
+from localization.mapping.surfaces import divided
 
 
 def test_walls_of_a_room_are_measured_from_inside(estimate: MapEstimate) -> None:
@@ -320,7 +325,7 @@ def test_feet_alone_beyond_a_post_are_left_out(
     assert feet[found] == (left or feet)
 
 
-def test_posts_that_are_seen_from_both_sides_make_a_wall_thin(estimate: MapEstimate) -> None:
+def test_posts_measured_from_both_sides_make_a_wall_thin(estimate: MapEstimate) -> None:
     reflection = Reflection(half_cone_rad=radians(25.0), surface_std_in=1.75, surface_length_in=24.0)
     sensors = sensors_at(estimate.state.poses, estimate.state.parameters, estimate.problem.trajectory, slice(None))
     left, right = (np.flatnonzero(side)[:4] for side in (sensors.face[:, 0] < 20.0, sensors.face[:, 0] > 50.0))
@@ -337,6 +342,60 @@ def test_posts_that_are_seen_from_both_sides_make_a_wall_thin(estimate: MapEstim
         assert made._is_thin(wall, -np.ones(6)) is is_thin
         # Echoes of the wall itself count as well.
         assert made._is_thin(wall, np.array((-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0)))
+        # The edge of a door in a face is the end of a part of it.
+        made.runs = np.concatenate((made.runs[made.runs[:, 0] != wall], [(wall, -25.0, y + 1.0), (wall, 52.0, 75.0)]))
+        assert not made._is_thin(wall, -np.ones(6))
+
+
+def test_removal_leaves_the_levels_of_other_walls_to_their_echoes(estimate: MapEstimate) -> None:
+    found = estimate.copy()
+    reflection = Reflection(half_cone_rad=radians(12.5), surface_std_in=1.75)
+    found.problem = MapProblem(found.problem.trajectory, 16, parameter_stds=PARAMETER_STDS, reflection=reflection)
+    found.associate()
+
+    def cells(made: MapEstimate) -> list[tuple[float, int] | None]:
+        """Angle of the wall and cell of the level of each echo."""
+        levels = made.state.levels
+        return [
+            None if row == NO_LEVEL else (float(made.state.walls[levels.wall[row], 0]), int(levels.cell[row]))
+            for row in made.assignment.level.tolist()
+        ]  # fmt: skip
+
+    before = cells(found)
+    for number in range(found.state.features):
+        without = found.copy()
+        without.remove(number)
+        expected = [None if feature == number else cell
+                    for feature, cell in zip(found.assignment.feature.tolist(), before, strict=True)]  # fmt: skip
+        assert cells(without) == expected
+
+
+def test_levels_are_measured_anew_where_something_has_changed(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, calls = estimate.copy(), list[int]()
+    reflection = Reflection(half_cone_rad=radians(12.5), surface_std_in=1.75)
+    found.problem = MapProblem(found.problem.trajectory, 16, parameter_stds=PARAMETER_STDS, reflection=reflection)
+    found.associate()
+
+    def counted(problem: MapProblem, *given: Any) -> Levels:
+        calls.append(1)
+        return divided(problem, *given)
+
+    monkeypatch.setattr(association, "divided", counted)
+    found.measure_levels()
+    found.assignment = replace(found.assignment, ties=found.assignment.ties.copy())
+    found.copy().measure_levels()
+    assert not calls
+    for name, value in (
+        ("state", replace(found.state, poses=found.state.poses + 0.1)),
+        ("assignment", replace(found.assignment, feature=found.assignment.feature.copy())),
+        ("problem", found.problem.with_trajectory(found.problem.trajectory)),
+    ):
+        calls.clear()
+        setattr(found, name, value)
+        found.measure_levels()
+        assert calls == [1]
 
 
 def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate) -> None:

@@ -19,7 +19,7 @@ from localization.mapping.merging import find_undecided, split_surfaces
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
 from localization.mapping.revision import close_wall_ends, drop_corner_cuts, join_points, prune, swallow
-from localization.mapping.spans import POINT_ON_LINE_IN, Span, find_wall_ends, pass_through, uncrossed_spans
+from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
 from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
 from worlds.io import format_world, load_world
 from worlds.world import SurfaceSpot
@@ -123,19 +123,28 @@ def test_span_along_a_surface_belongs_to_what_was_measured_there() -> None:
     lines = [walls._Line(n, a, at, np.zeros(0)) for n, a, at in ((y, x, 0.0), (y, x, 2.0), (x, -y, 30.0))]
     runs_of = [[(50.0, 90.0, 20)], [(0.0, 10.0, 5), (14.0, 20.0, 5)], [(-80.0, 0.0, 30)]]
 
-    def owner(first: float, last: float, at: float, near_in: float = 5.0) -> int | None:
-        return walls._owner_of(Span(0, 1, np.array((first, at, last, at)), 4), lines, runs_of, near_in)
+    def owner(
+        first: float, last: float, at: float, *, has_levels: bool = True, other: float | None = None
+    ) -> int | None:
+        ends = np.array((first, at, last, at if other is None else other))
+        return walls._owner_of(Span(0, 1, ends, 4), lines, runs_of, 6.0, has_levels)
 
     # A post of the second part is nearer to the line of the first one.
     assert owner(5.0, 30.0, 0.5) == 1
-    assert owner(5.0, 30.0, 0.5, POINT_ON_LINE_IN) == 0
+    assert owner(5.0, 30.0, 0.5, has_levels=False) == 0
     assert owner(40.0, 60.0, 0.5) == 0
     # Nothing was measured between both parts, so the level there is unknown; and not this far from a line.
     assert owner(25.0, 45.0, 0.5) is None
-    assert owner(5.0, 30.0, 8.0) is None
+    assert owner(5.0, 30.0, 8.1) is None
+    # What leads across the wall is no part of it.
+    assert owner(14.0, 20.0, -3.0, other=3.0) is None
     # A wall that no echo is of is as known as its two points.
     runs_of[0] = []
     assert owner(25.0, 45.0, 0.5) == 0
+    # Of both faces of a thick wall the nearer one, however little of it was measured there.
+    runs_of[:2] = [(0.0, 30.0, 9)], [(0.0, 60.0, 20)]
+    assert owner(25.0, 55.0, 0.2) == 0
+    assert owner(25.0, 55.0, 1.8) == 1
 
 
 def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,7 @@ def test_an_ignored_signal_stays_ignored() -> None:
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, "1"), ("4", "4")])
-def test_blas_has_one_thread_unless_told_otherwise(
+def test_blas_has_one_thread_unless_the_environment_says_more(
     given: str | None, used: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
