@@ -524,8 +524,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     # 3. Learned walls: how much of each is at a wall of the world, and how far off.
     near_length, false = 0.0, 0
     offsets, angles, z, closed = [], [], [], []
-    true_lines = walls if trial.surfaces is None else lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
-    has_line = np.zeros(len(walls), dtype=np.bool_)
+    line_of: dict[int, Floats] = {}
     for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
@@ -537,13 +536,13 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
         number, offset, angle = _error(learned, measured.mean(axis=0), lines)
         # Of several parts of a wall the longest, which comes first, has its line.
-        is_new = (np.arange(len(walls)) == number) & ~has_line
-        true_lines, has_line = np.where(is_new[:, None], lines, true_lines), has_line | is_new
+        line_of.setdefault(number, lines[number])
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
         closed += [end for end, is_closed in zip(learned, piece.closed, strict=True) if is_closed]
-    corners = corners_of(walls, true_lines)
+    others = lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
+    corners = corners_of(walls, np.array([line_of.get(number, line) for number, line in enumerate(others)]))
     to_corners = [float(np.hypot(*(corners - end).T).min()) for end in closed]
     total = sum(piece.length_in for piece in found.walls)
     return {

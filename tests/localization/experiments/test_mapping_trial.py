@@ -264,14 +264,14 @@ def test_learned_spots_are_fitted_to_the_surfaces() -> None:
 
 @pytest.mark.long
 def test_walls_with_surfaces_are_mapped_as_they_are_measured(tmp_path: Path) -> None:
-    trial = Trial("thesis_room", "building", 3, 100.0)
+    trial = Trial("thesis_room", "building", 3, 150.0)
     driven = mapping.drive(trial, mapping.TOURS["thesis_room"], tmp_path)
     estimate = learn_map(driven.log, THESIS_ODOMETRY, trial.sonar)
     found, trajectory = describe(estimate), estimate.problem.trajectory
     numbers = score(trial, driven, found, trajectory.instants_s, trajectory.odometry[:, :2])
     assert found.reason_to_refuse() == ""
     assert (numbers["found"], numbers["false"]) == (4, 0)
-    assert np.median(numbers["offsets_in"]) < 0.3
+    assert max(numbers["offsets_in"]) < 0.5
     assert np.abs(numbers["z"]).max() < 3.0
     assert numbers["path_in"] < 0.3
     # Levels, where the walls have them: the spots are on the true surface, but for cells that have two levels.
