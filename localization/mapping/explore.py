@@ -325,7 +325,7 @@ class Explorer:
             if self._is_stuck or free_in(direction) < MIN_FREE_IN:
                 # The same reading would block this leg as well: first away from what is near.
                 self._place = None
-                back = [] if self._is_going_back else self._way_back(pose, mapper.poses)
+                back = [] if self._is_going_back else self._leg_back(pose, mapper.poses)
                 self._is_going_back = bool(back)
                 self._optional_in = 0.0
                 return back or self._free_leg(pose, free_in, ESCAPE_IN)
@@ -338,7 +338,7 @@ class Explorer:
         is_fast = self._is_fast or self._may_have_rooms
         return 1.0 if self._place is not None and is_fast else MEASURING_PACE
 
-    def _way_back(self, pose: Floats, poses: Floats) -> list[Point]:
+    def _leg_back(self, pose: Floats, poses: Floats) -> list[Point]:
         """Return a leg to where the robot was ESCAPE_IN ago: there is nothing on it; none at the beginning."""
         far = np.flatnonzero(np.hypot(*(poses[:, :2] - pose[:2]).T) > ESCAPE_IN)
         return [(float(poses[far[-1], 0]), float(poses[far[-1], 1]))] if len(far) else []
@@ -433,7 +433,7 @@ class Explorer:
         self._is_blocked = bool(reason)
         if reason:
             reach = self._body_in + AHEAD_IN
-            # Twice at the same place: beside a wall too near to measure nothing but the way back is left.
+            # Twice at the same place: beside a wall too near to measure only the leg back is left.
             self._is_stuck = dist(self._blocked_at, pose[:2]) < SAME_PLACE_IN
             self._blocked_at = float(pose[0]), float(pose[1])
             self._blocked_legs.append((self._clock_s, self._blocked_at, direction_rad))
@@ -717,11 +717,11 @@ class Explorer:
             return [], 0.0
         cells = grid.cells(points)
         is_known = grid.reached[cells[:, 0], cells[:, 1]]
-        known = len(points) if is_known.all() else int(is_known.argmin())
-        return [(float(points[-1, 0]), float(points[-1, 1]))], (len(points) - known) * CELL_IN
+        first_unknown = len(points) if is_known.all() else int(is_known.argmin())
+        return [(float(points[-1, 0]), float(points[-1, 1]))], (len(points) - first_unknown) * CELL_IN
 
     def _beside_wall(self, grid: Grid, start: Point, path: list[Point], end: Place) -> list[Point]:
-        """Return where the path to an open end goes on along the wall, as far as it is free, if it leads that way.
+        """Return where the path to an open end goes on along the wall, as far as it is free, if it leads there.
 
         At the end itself only some inches more of the wall are measured.
         """

@@ -198,10 +198,10 @@ class LearnedMap:
     def reason_to_refuse(self) -> str:
         """Return why this map must not be used; "" if it is sound."""
         quality = self.quality
-        known, uncertain = ([wall for wall in walls if wall.echoes] for walls in (self.walls, self.uncertain))
-        if len(known) + len(uncertain) < MIN_WALLS:
+        certain, uncertain = ([wall for wall in walls if wall.echoes] for walls in (self.walls, self.uncertain))
+        if len(certain) + len(uncertain) < MIN_WALLS:
             return (
-                f"{len(known)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
+                f"{len(certain)} walls found: drive along the walls, at 12 to 60 in from them, and turn at corners"
             )
         if not explains_enough(quality.explained, quality.repeated):
             return (
@@ -256,12 +256,12 @@ class LearnedMap:
                 "robot came back to a place without recognizing it, or something moved; drive in smaller loops, along "
                 "walls and corners that are in the map already"
             )
-        count = len(known) + len(uncertain)
-        if len(known) < max(MIN_KNOWN * count, MIN_WALLS):
+        count = len(certain) + len(uncertain)
+        if len(certain) < max(MIN_KNOWN * count, MIN_WALLS):
             stds = [wall.std_in for wall in uncertain]
             lowest, highest = min(stds), max(stds)
             return (
-                f"{len(known)} of its {count} walls are known well enough, the others within {2.0 * lowest:.1f} "
+                f"{len(certain)} of its {count} walls are known well enough, the others within {2.0 * lowest:.1f} "
                 f"to {2.0 * highest:.1f} in, twice their standard deviation; at least {MIN_KNOWN:.0%} are needed: "
                 "drive in smaller loops, along the walls, and come back to corners"
             )
@@ -349,17 +349,17 @@ def describe(
         unexplored = rotate(unexplored, np.full(len(unexplored), -turn))
     # 2. Walls that are known well enough.
     highest = highest_std_in(estimate)
-    is_known = [wall.std_in <= highest for wall in turned]
-    known = tuple(wall for wall, is_written in zip(turned, is_known, strict=True) if is_written)
-    uncertain = tuple(wall for wall, is_written in zip(turned, is_known, strict=True) if not is_written)
+    is_certain = [wall.std_in <= highest for wall in turned]
+    certain = tuple(wall for wall, is_written in zip(turned, is_certain, strict=True) if is_written)
+    uncertain = tuple(wall for wall, is_written in zip(turned, is_certain, strict=True) if not is_written)
     # 3. Boxes of which all walls are.
-    numbers = np.cumsum(is_known) - 1
+    numbers = np.cumsum(is_certain) - 1
     outlines = tuple(
         Outline(rotate(outline.corners, np.full(4, -turn)), tuple(int(numbers[row]) for row in outline.walls))
-        for outline in find_outlines(estimate, walls) if all(is_known[row] for row in outline.walls)
+        for outline in find_outlines(estimate, walls) if all(is_certain[row] for row in outline.walls)
     )  # fmt: skip
     return LearnedMap(
-        known, points, path, calibration_of(estimate), quality_of(estimate, walls).turned(-turn), turret_rad, rest,
+        certain, points, path, calibration_of(estimate), quality_of(estimate, walls).turned(-turn), turret_rad, rest,
         unexplored, uncertain, outlines,
     )  # fmt: skip
 

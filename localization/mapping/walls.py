@@ -621,8 +621,8 @@ def _is_known(
 ) -> bool:
     """Return True if enough of the four sides are walls or silent, or sound has not passed all of them together."""
     own = [spans[side] for side in sides if side in spans]
-    known = sum(side in walls or (side in spans and spans[side].is_wall) for side in sides)
-    return known >= MIN_SIDES or (len(own) == len(sides) and sum(span.stopped for span in own) >= MIN_STOPPED)
+    closed = sum(side in walls or (side in spans and spans[side].is_wall) for side in sides)
+    return closed >= MIN_SIDES or (len(own) == len(sides) and sum(span.stopped for span in own) >= MIN_STOPPED)
 
 
 def _distinct(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:

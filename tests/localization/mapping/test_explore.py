@@ -267,7 +267,7 @@ def test_leg_that_was_blocked_is_not_tried_again_from_there() -> None:
     assert direction() == pytest.approx(0.0)
 
 
-def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leg_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     explorer, pose = Explorer(BODY_IN, 6.0, 300.0), np.array((10.0, 20.0, 0.0))
     monkeypatch.setattr(explorer, "_chosen_leg", lambda *_: [(30.0, 20.0)])
     driven = NoMap()
@@ -284,11 +284,11 @@ def test_way_back_that_is_blocked_is_not_tried_twice_in_a_row(monkeypatch: pytes
     np.testing.assert_allclose(np.array(aside), np.array([(10.0, 28.0)]), atol=1e-9)
 
 
-def test_way_back_is_where_the_robot_was() -> None:
+def test_leg_back_is_where_the_robot_was() -> None:
     explorer = Explorer(BODY_IN, 6.0, 300.0)
     poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (14.0, 0.0, 0.0), (14.0, 5.0, 1.5)])
-    assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses) == [(10.0, 0.0)]
-    assert explorer._way_back(np.array((14.0, 7.0, 1.5)), poses[2:]) == []
+    assert explorer._leg_back(np.array((14.0, 7.0, 1.5)), poses) == [(10.0, 0.0)]
+    assert explorer._leg_back(np.array((14.0, 7.0, 1.5)), poses[2:]) == []
 
 
 def wall(one: Point, other: Point, *, closed: tuple[bool, bool] = (False, False)) -> Piece:
