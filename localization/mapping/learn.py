@@ -5,7 +5,8 @@
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
         join what was not recognized; births from all echoes; open, part, join, merge, split, swallow, absorb, posts,
-        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; trim surfaces
+        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls; trim
+        surfaces
     once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
@@ -43,6 +44,7 @@ from localization.mapping.revision import (
     swallow,
     tie_points,
     trim_surfaces,
+    turn_walls,
 )
 
 NODES_PER_ROUND: Final = 16
@@ -153,6 +155,7 @@ class MapLearner:
             weigh_ranges(self.estimate, self._sonar)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
+        turn_walls(self.estimate)
         # Walls that were two by the weights of before.
         if merge(self.estimate):
             tie_points(self.estimate)

@@ -60,12 +60,17 @@ from localization.mapping.spans import (
     uncrossed_spans,
     walls_along,
 )
+from localization.mapping.surfaces import costs_of_turns
 from localization.mapping.walls import REACH_IN, extract_walls, free_paths, unpassed_gaps
 from worlds.world import SPOT_REACH_IN
 
 LAST_STEPS: Final = 10
 MAX_TURN_RAD: Final = radians(15.0)
 """A wall that is off the axes by more is meant to be."""
+TURNS_RAD: Final = np.radians(np.linspace(-6.0, 6.0, 49))
+"""Turns of a wall with levels that are compared: a step of 0.8 in within 34 in looks like a slope of 2.3 degrees."""
+MIN_TURN_GAIN: Final = 1.0
+"""Cost of its stretches that a turn must save to be tried."""
 SWALLOW_IN: Final = 40.0
 """Walls seen over a shorter length may be a corner."""
 DIVIDERS_RAD: Final = np.linspace(0.0, np.pi, 12, endpoint=False)
@@ -495,6 +500,32 @@ def square(estimate: MapEstimate) -> int:
             estimate.replace_by(trial)
             turned += 1
     return turned
+
+
+def turn_walls(estimate: MapEstimate) -> int:
+    """Turn walls with levels to the direction of their most probable stretches where the total cost falls.
+
+    A wall that was found with a slope keeps it: levels that stay within SAME_LEVEL_STD_IN follow a slope, and a step
+    is then none. Returns the number of walls that were turned.
+    """
+    count, middle = 0, len(TURNS_RAD) // 2
+    for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
+        if not len(estimate.echoes_of(wall)):
+            continue
+        costs = costs_of_turns(
+            estimate.problem, estimate.state, estimate.assignment, wall, float(estimate.extents[wall].mean()), TURNS_RAD
+        )
+        best = int(costs.argmin())
+        if costs[best] > costs[middle] - MIN_TURN_GAIN:
+            continue
+        trial = _turned_wall(estimate, wall, float(TURNS_RAD[best]))
+        for _ in range(2):
+            trial.optimize(JOIN_STEPS)
+            trial.associate()
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            count += 1
+    return count
 
 
 def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:

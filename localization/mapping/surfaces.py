@@ -10,6 +10,9 @@ into stretches, each of one level b ~ N(0, std^2), the most probable one has the
 By dynamic programming: the best division of the first n cells is that of the first m, and one stretch more. The levels
 start at those of the stretches, and are then unknowns of the map.
 
+A slope of the whole wall and a step in it explain the echoes of a short one about as well. So the same sum rates the
+directions of a wall: turned by an angle t about its middle, x along it, a cell says z_c cos(t) + x_c sin(t) instead.
+
 References
 ----------
 Jackson et al., An Algorithm for Optimal Partitioning of Data on an Interval (2005). MacKay, Information Theory,
@@ -20,7 +23,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import log
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +33,24 @@ from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, Assignment, Le
 
 SAME_COST: Final = 1e-9
 """Costs that differ by less are equal up to rounding."""
+
+
+class Division(NamedTuple):
+    """The most probable division of a wall.
+
+    Attributes
+    ----------
+    begins
+        (l,) True where a stretch begins, but the first one.
+    levels
+        (l,) level of each cell.
+    cost
+        The sum that it has the least of, less what all divisions have in common.
+    """
+
+    begins: npt.NDArray[np.bool_]
+    levels: Floats
+    cost: float
 
 
 def divided(
@@ -42,13 +63,33 @@ def divided(
     levels, reflection = state.levels, problem.reflection
     medians, information = _medians(problem, state, assignment), problem.level_information(levels, assignment)
     values, is_new = levels.value_in.copy(), levels.is_new.copy()
-    changes = 1.0 - float(reflection.correlation(np.array(LEVEL_CELL_IN)))
+    changes = _change_probability(problem)
     for wall in np.unique(levels.wall).tolist():
         own = levels.of(wall)
-        begins, found = stretches(medians[own], information[own], reflection.surface_std_in, changes)
+        begins, found, _ = stretches(medians[own], information[own], reflection.surface_std_in, changes)
         if not np.array_equal(begins, levels.is_new[own]) or not had_level[own].all():
             values[own], is_new[own] = found, begins
     return replace(levels, value_in=values, is_new=is_new)
+
+
+def costs_of_turns(
+    problem: MapProblem, state: MapState, assignment: Assignment, wall: int, middle_in: float, turns_rad: Floats
+) -> Floats:
+    """Return the costs (t,) of the most probable stretches of a wall that is turned about a coordinate along it."""
+    own = state.levels.of(wall)
+    medians = _medians(problem, state, assignment)[own]
+    information = problem.level_information(state.levels, assignment)[own]
+    along_in = LEVEL_CELL_IN * (state.levels.cell[own] + 0.5) - middle_in
+    std, changes = problem.reflection.surface_std_in, _change_probability(problem)
+    return np.array([
+        stretches(medians * np.cos(turn) + along_in * np.sin(turn), information, std, changes).cost
+        for turn in turns_rad.tolist()
+    ])  # fmt: skip
+
+
+def _change_probability(problem: MapProblem) -> float:
+    """Return the probability that a surface changes from one cell to the next."""
+    return 1.0 - float(problem.reflection.correlation(np.array(LEVEL_CELL_IN)))
 
 
 def _medians(problem: MapProblem, state: MapState, assignment: Assignment) -> Floats:
@@ -67,10 +108,8 @@ def _medians(problem: MapProblem, state: MapState, assignment: Assignment) -> Fl
     return medians
 
 
-def stretches(
-    values: Floats, information: Floats, std: float, changes: float
-) -> tuple[npt.NDArray[np.bool_], Floats]:
-    """Return where stretches of one level begin (l,), but the first of them, and the level (l,) of each cell.
+def stretches(values: Floats, information: Floats, std: float, changes: float) -> Division:
+    """Return the most probable division of the cells of a wall into stretches of one level.
 
     Parameters
     ----------
@@ -103,7 +142,7 @@ def stretches(
         first = int(start[end])
         w, wz, _ = sums[:, end] - sums[:, first]
         levels[first:end], begins[first], end = wz / (w + std**-2), first > 0, first
-    return begins, levels
+    return Division(begins, levels, float(best[count]))
 
 
 def gate_variances(problem: MapProblem, levels: Levels, assignment: Assignment) -> Floats:

@@ -41,10 +41,16 @@ def test_stretches_are_the_most_probable_ones_of_all(seed: int) -> None:
     variances = rng.uniform(0.02, 0.3, 8)
     variances[rng.random(8) < 0.3] = np.inf
     values = truth + rng.normal(size=8) * np.sqrt(np.where(np.isfinite(variances), variances, 0.0))
-    begins, levels = stretches(np.where(np.isfinite(variances), values, 0.0), 1.0 / variances, STD_IN, CHANGES)
+    begins, levels, cost = stretches(np.where(np.isfinite(variances), values, 0.0), 1.0 / variances, STD_IN, CHANGES)
     costs = {way: negative_log_evidence(values, variances, way) for way in product((False, True), repeat=7)}
     assert not begins[0]
     assert costs[tuple(begins[1:].tolist())] == pytest.approx(min(costs.values()))
+    # Its cost is less than that by what all divisions have in common.
+    other = stretches(np.where(np.isfinite(variances), -values, 0.0), 1.0 / variances, STD_IN, CHANGES)
+    assert other.cost == pytest.approx(cost)
+    flat = np.isfinite(variances)
+    common = 2.0 * 7 * np.log(1.0 - CHANGES) - np.log(2.0 * np.pi * variances[flat]).sum()
+    assert cost == pytest.approx(min(costs.values()) + common)
     # Each level is the mean of its stretch, drawn towards 0 by the prior.
     starts = [0, *np.flatnonzero(begins).tolist(), 8]
     for first, end in pairwise(starts):
@@ -53,7 +59,7 @@ def test_stretches_are_the_most_probable_ones_of_all(seed: int) -> None:
 
 
 def test_one_level_is_no_change() -> None:
-    begins, levels = stretches(np.full(6, 0.8), np.full(6, 10.0), STD_IN, CHANGES)
+    begins, levels, _ = stretches(np.full(6, 0.8), np.full(6, 10.0), STD_IN, CHANGES)
     assert not begins.any()
     np.testing.assert_allclose(levels, 0.8 * 60.0 / (60.0 + STD_IN**-2))
 

@@ -20,6 +20,7 @@ from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
 from localization.mapping.revision import close_wall_ends, drop_corner_cuts, join_points, prune, swallow
 from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
+from localization.mapping.surfaces import costs_of_turns
 from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
 from worlds.io import format_world, load_world
 from worlds.world import SurfaceSpot
@@ -612,6 +613,27 @@ def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
     assert (abs(off) < 0.5) == (turned == 1 or turn_deg < 1.0)
     # Planes have no levels that could make up for it.
     assert revision.square(estimate) == 0
+
+
+@pytest.mark.parametrize("turn_deg", [-4.0, 3.0])
+def test_walls_with_levels_turn_to_the_direction_of_their_stretches(estimate: MapEstimate, turn_deg: float) -> None:
+    """Oracle: the direction that a wall of a square room had before it was turned, its levels with it."""
+    found = with_levels(estimate)
+    found.optimize(3)
+    # A map that has settled stays as it is.
+    while revision.turn_walls(found):
+        pass
+    slanted = revision._turned_wall(found, 1, radians(turn_deg))
+    middle = float(slanted.extents[1].mean())
+    costs = costs_of_turns(slanted.problem, slanted.state, slanted.assignment, 1, middle, revision.TURNS_RAD)
+    assert np.degrees(revision.TURNS_RAD[costs.argmin()]) == pytest.approx(-turn_deg, abs=0.5)
+    before = slanted.cost
+    assert revision.turn_walls(slanted) == 1
+    assert slanted.cost < before
+    off = np.degrees(wrap_angle(4.0 * (slanted.state.walls[1, 0] - slanted.state.walls[0, 0])) / 4.0)
+    assert abs(off) < 0.5
+    # Planes have no levels.
+    assert revision.turn_walls(estimate) == 0
 
 
 def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstimate) -> None:
