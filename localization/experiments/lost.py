@@ -441,9 +441,9 @@ class LostSummary:
         Fraction of the time with status DEGRADED.
     rmse_in
         Position RMSE while localized, in inches.
-    told, soon
+    detected, soon
         Number of detected kidnappings, and of those detected within SOON_S.
-    told_s, found_s
+    detected_s, found_s
         Median and maximum of the times until detection and until recovery, in seconds.
     found, mistaken
         Number of runs with a correct and with a wrong recovery.
@@ -470,9 +470,9 @@ class LostSummary:
     alarmed: int
     degraded: float
     rmse_in: float | None
-    told: int | None = None
+    detected: int | None = None
     soon: int | None = None
-    told_s: tuple[float, float] | None = None
+    detected_s: tuple[float, float] | None = None
     found: int | None = None
     mistaken: int | None = None
     found_s: tuple[float, float] | None = None
@@ -514,7 +514,7 @@ def summarize(kind: Kind, world: str, scenario: str, results: Sequence[LostResul
     if kind is Kind.KIDNAPPED:
         after = [result.lost_after_s for result in results if result.lost_after_s is not None]
         soon = sum(seconds <= SOON_S for seconds in after)
-        summary = replace(summary, told=len(after), told_s=_spread(after), soon=soon)
+        summary = replace(summary, detected=len(after), detected_s=_spread(after), soon=soon)
     if kind is not Kind.TRACKING:
         # A recovery counts as correct if the recovered pose was within the tolerance.
         found = [result for result in results if result.found_after_s is not None]
@@ -634,10 +634,10 @@ def words(summary: LostSummary) -> str:
             f"  {summary.false_alarms} false alarms in {summary.alarmed} runs; DEGRADED "
             f"{summary.degraded:.2%} of the time; position RMSE {summary.rmse_in:.2f} in"
         )
-    if summary.told is not None:
+    if summary.detected is not None:
         lines.append(
-            f"  detected (LOST): {summary.told}, {summary.soon} of them within {SOON_S:g} s"
-            f"{_times(summary.told_s)}"
+            f"  detected (LOST): {summary.detected}, {summary.soon} of them within {SOON_S:g} s"
+            f"{_times(summary.detected_s)}"
         )
     if summary.found is not None:
         lines.append(

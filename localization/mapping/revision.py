@@ -492,40 +492,38 @@ def square(estimate: MapEstimate) -> int:
         off = estimate.problem.angle_residuals(estimate.state, estimate.assignment)[0] * RIGHT_ANGLE_STD_RAD
         if not len(off) or not ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD < abs(off[wall]) < MAX_TURN_RAD:
             continue
-        trial = _turned_wall(estimate, wall, -float(off[wall]))
-        for _ in range(2):
-            trial.optimize(JOIN_STEPS)
-            trial.associate()
-        if trial.cost < estimate.cost:
-            estimate.replace_by(trial)
-            turned += 1
+        turned += _turn_if_cheaper(estimate, wall, -float(off[wall]))
     return turned
 
 
 def turn_walls(estimate: MapEstimate) -> int:
-    """Turn walls with levels to the direction of their most probable stretches where the total cost falls.
+    """Turn walls with levels to the direction of their most probable stretches, and return the number of those turned.
 
-    A wall that was found with a slope keeps it: levels that stay within SAME_LEVEL_STD_IN follow a slope, and a step
-    is then none. Returns the number of walls that were turned.
+    Levels that may drift by SAME_LEVEL_STD_IN from cell to cell follow a slope, so the optimizer leaves a wall that was
+    found with a slope as it is, although its surface may have a step instead.
     """
-    count, middle = 0, len(TURNS_RAD) // 2
+    turned, present = 0, len(TURNS_RAD) // 2
     for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
         if not len(estimate.echoes_of(wall)):
             continue
-        costs = costs_of_turns(
-            estimate.problem, estimate.state, estimate.assignment, wall, float(estimate.extents[wall].mean()), TURNS_RAD
-        )
+        middle_in = float(estimate.extents[wall].mean())
+        costs = costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, TURNS_RAD)
         best = int(costs.argmin())
-        if costs[best] > costs[middle] - MIN_TURN_GAIN:
-            continue
-        trial = _turned_wall(estimate, wall, float(TURNS_RAD[best]))
-        for _ in range(2):
-            trial.optimize(JOIN_STEPS)
-            trial.associate()
-        if trial.cost < estimate.cost:
-            estimate.replace_by(trial)
-            count += 1
-    return count
+        if costs[best] <= costs[present] - MIN_TURN_GAIN:
+            turned += _turn_if_cheaper(estimate, wall, float(TURNS_RAD[best]))
+    return turned
+
+
+def _turn_if_cheaper(estimate: MapEstimate, wall: int, by_rad: float) -> bool:
+    """Turn a wall where the total cost falls after optimizing; return whether it did."""
+    trial = _turned_wall(estimate, wall, by_rad)
+    for _ in range(2):
+        trial.optimize(JOIN_STEPS)
+        trial.associate()
+    is_cheaper = trial.cost < estimate.cost
+    if is_cheaper:
+        estimate.replace_by(trial)
+    return is_cheaper
 
 
 def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:

@@ -36,7 +36,7 @@ def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
     assert found.degraded == pytest.approx((60.0 + 120.0) / 1800.0)
     # Squared errors 1 and 2 by time; the third run has none.
     assert found.rmse_in == pytest.approx(2.0**0.5)
-    assert found.told is found.found is None
+    assert found.detected is found.found is None
     assert "3 false alarms in 1 runs; DEGRADED 10.00% of the time; position RMSE 1.41 in" in words(found)
 
 
@@ -49,8 +49,8 @@ def test_kidnapping_summary_counts_alarms_and_recoveries() -> None:
         case(Kind.KIDNAPPED, 3): LostResult(40.0, 0, 0.0, 0.3, None, None, False),
     })
     # Two of the detections took at most 5 s.
-    assert (found.told, found.soon, found.found, found.mistaken) == (3, 2, 2, 1)
-    assert found.told_s == (3.0, 7.0)
+    assert (found.detected, found.soon, found.found, found.mistaken) == (3, 2, 2, 1)
+    assert found.detected_s == (3.0, 7.0)
     # Correct recoveries took 1 and 9 s: the upper median, and the longest.
     assert found.found_s == (9.0, 9.0)
     text = words(found)
