@@ -174,6 +174,22 @@ def test_page_fits_small_screens_in_light_and_dark(browser: Browser, viewport: t
         assert page.value("document.documentElement.scrollWidth") <= width
 
 
+def test_every_task_fits_narrow_screens(browser: Browser) -> None:
+    """Addresses in the texts are longer with some ports, so where their lines end is tested at several widths."""
+    with (
+        nserver("thesis_room") as program,
+        open_page(browser, program.url, viewport={"width": 360, "height": 640}) as page,
+    ):
+        page.value("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        tasks = page.page.locator("#tasks button").all()
+        assert len(tasks) >= 4
+        for task in tasks:
+            task.click()
+            for width in range(360, 310, -10):
+                page.page.set_viewport_size({"width": width, "height": 640})
+                assert page.value("document.documentElement.scrollWidth") <= width, (task.inner_text(), width)
+
+
 def test_menu_is_below_button_and_inside_window(browser: Browser) -> None:
     place = """import("/page/menus.js").then((m) =>
         m.menuPosition({ left: %s, top: %s, bottom: %s }, [168, 300], [390, 844]))"""
