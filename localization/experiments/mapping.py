@@ -524,7 +524,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     # 3. Learned walls: how much of each is at a wall of the world, and how far off.
     near_length, false = 0.0, 0
     offsets, angles, z, closed = [], [], [], []
-    line_of: dict[int, Floats] = {}
+    placed: list[tuple[int, Floats, Floats]] = []
     for piece, learned, lines in zip(found.walls, ends, beside, strict=True):
         count = max(int(piece.length_in / SAMPLE_IN), 2)
         points = np.linspace(learned[0], learned[1], count)
@@ -535,15 +535,14 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
             continue
         measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
         number, offset, angle = _error(learned, measured.mean(axis=0), lines)
-        # Of several parts of a wall the longest, which comes first, has its line.
-        line_of.setdefault(number, lines[number])
+        placed.append((number, lines[number], learned))
         offsets.append(abs(offset))
         angles.append(abs(angle))
         z.append(offset / max(piece.std_in, 1e-6))
-        closed += [end for end, is_closed in zip(learned, piece.closed, strict=True) if is_closed]
+        is_closed = np.array(piece.closed)
+        closed += [(number, lines[number], end) for end in learned[is_closed]]
     others = lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
-    corners = corners_of(walls, np.array([line_of.get(number, line) for number, line in enumerate(others)]))
-    to_corners = [float(np.hypot(*(corners - end).T).min()) for end in closed]
+    to_corners = [distance_to_corner(walls, others, placed, *end) for end in closed]
     total = sum(piece.length_in for piece in found.walls)
     return {
         "walls": len(visible), "found": covered, "false": false, "missing": missing,
@@ -552,6 +551,31 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         "ends_in": to_corners, "z": z, "path_in": fit_error(found.path[:, :2], true_path),
         "odometry_in": fit_error(odometry, true_path), **_outline_score(world_of(trial.world), found, turn, shift),
     }  # fmt: skip
+
+
+def distance_to_corner(
+    walls: Floats, others: Floats, placed: list[tuple[int, Floats, Floats]], number: int, line: Floats, end: Floats
+) -> float:
+    """Return how far an end (2,) of a learned wall is from the nearest true corner.
+
+    A wall whose surface stands out by inches in one part is learned as two. Each part ends where the line beside it
+    meets that beside the nearest part of the other wall.
+
+    Parameters
+    ----------
+    walls, others
+        (m, 4) true walls, and their lines where nothing was learned.
+    placed
+        Number of the true wall, its line (4,) and the learned ends (2, 2) of each learned wall.
+    number, line
+        The true wall of the end, and its line beside the learned one.
+    """
+    lines = others.copy()
+    away = [float(np.hypot(*(learned - end).T).min()) for _, _, learned in placed]
+    for nearest in np.argsort(away)[::-1]:
+        lines[placed[nearest][0]] = placed[nearest][1]
+    lines[number] = line
+    return float(np.hypot(*(corners_of(walls, lines) - end).T).min())
 
 
 def _outline_score(world: World, found: LearnedMap, turn: float, shift: Floats) -> dict[str, int]:

@@ -26,11 +26,12 @@ from localization.mapping.association import LAG_NODES, MapEstimate, align_headi
 from localization.mapping.features import close_loops, find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.merging import merge, open_faces, split, split_surfaces
-from localization.mapping.problem import PARAMETER_STDS, PLANES, MapProblem, Reflection
+from localization.mapping.problem import PARAMETER_STDS, PLANES, RIGHT_ANGLE_STD_RAD, MapProblem, Reflection
 from localization.mapping.revision import (
     LAST_STEPS,
     absorb_points,
     add_posts,
+    align,
     close_wall_ends,
     drop_corner_cuts,
     drop_hidden,
@@ -166,6 +167,7 @@ class MapLearner:
         split_surfaces(self.estimate)
         close_wall_ends(self.estimate)
         trim_surfaces(self.estimate)
+        align(self.estimate)
 
 
 def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:
@@ -247,9 +249,10 @@ def learn_log(
 
 
 def _cost_by_readings(learner: MapLearner) -> float:
-    """Return the cost of a map with the weights that ranges have before there is one: the same for all maps."""
+    """Return the cost of a map with the weights and right angles of before there is one: the same for all maps."""
     estimate = learner.estimate.copy()
-    estimate.problem = estimate.problem.with_trajectory(learner.trajectory)
+    problem = estimate.problem.with_trajectory(learner.trajectory)
+    estimate.problem = problem.with_right_angles(RIGHT_ANGLE_STD_RAD)
     if estimate.surface_in:
         # With those that `trim_surfaces` has left out.
         estimate.associate()

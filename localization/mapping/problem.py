@@ -76,6 +76,9 @@ RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
 """Walls of buildings are at right angles to one another within this, or they are not meant to be: what is off by more
 than the robust limit counts hardly. A robot that turns by a radian loses its heading by 6 degrees, and gets it back
 from walls; without this the directions of rooms would be known only by what is seen through their doors."""
+RIGHT_ANGLE_LIMIT_RAD: Final = ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD
+SQUARE_STD_RAD: Final = radians(0.1)
+"""Walls meant to be at right angles are within this: builders keep to 8 mm in 3 m, 0.15 degrees (DIN 18202)."""
 AXES_STEPS: Final = 8
 """Steps of reweighting from the direction of one wall to the axes that cost least."""
 _FRAME_INFORMATION: Final = 1e8
@@ -370,15 +373,18 @@ class MapProblem:
         (4,) prior standard deviations of the parameters without the own offsets of the sonars.
     reflection
         How walls reflect.
+    right_angle_std_rad
+        Standard deviation of right angles, of walls that are within RIGHT_ANGLE_LIMIT_RAD of one.
     """
 
     def __init__(
         self, trajectory: Trajectory, sonars: int, *, rays: bool = False, robust: bool = True,
         has_fixed_map: bool = False, parameter_stds: tuple[float, ...] = PARAMETER_STDS,
-        reflection: Reflection = PLANES,
+        reflection: Reflection = PLANES, right_angle_std_rad: float = RIGHT_ANGLE_STD_RAD,
     ) -> None:  # fmt: skip
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
-        self.reflection = reflection
+        self.reflection, self.right_angle_std_rad = reflection, right_angle_std_rad
+        self._right_angle_limit = RIGHT_ANGLE_LIMIT_RAD / right_angle_std_rad
         self._wall_bearing_std_rad = WALL_BEARING_STD_RAD * (reflection.half_cone_rad / HALF_CONE_RAD)
         self._stds, self._parameters = parameter_stds, len(parameter_stds) + sonars
         own = np.r_[np.zeros(len(parameter_stds)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
@@ -389,16 +395,23 @@ class MapProblem:
     @property
     def plain(self) -> MapProblem:
         """The same problem by plain least squares, without robust weights."""
-        return self._like(self.trajectory, robust=False, has_fixed_map=self.has_fixed_map)
+        return self._like(self.trajectory, False, self.has_fixed_map)
 
     def with_trajectory(self, trajectory: Trajectory, *, has_fixed_map: bool = False) -> MapProblem:
         """Return the same problem with other measurements."""
-        return self._like(trajectory, robust=self.robust, has_fixed_map=has_fixed_map)
+        return self._like(trajectory, self.robust, has_fixed_map)
 
-    def _like(self, trajectory: Trajectory, *, robust: bool, has_fixed_map: bool) -> MapProblem:
+    def with_right_angles(self, std_rad: float) -> MapProblem:
+        """Return the same problem with another standard deviation of right angles."""
+        return self._like(self.trajectory, self.robust, self.has_fixed_map, std_rad)
+
+    def _like(
+        self, trajectory: Trajectory, robust: bool, has_fixed_map: bool, right_angle_std_rad: float | None = None
+    ) -> MapProblem:
         return MapProblem(
             trajectory, self._parameters - len(self._stds), rays=self.rays, robust=robust, has_fixed_map=has_fixed_map,
             parameter_stds=self._stds, reflection=self.reflection,
+            right_angle_std_rad=right_angle_std_rad or self.right_angle_std_rad,
         )  # fmt: skip
 
     def initial(self) -> MapState:
@@ -577,7 +590,7 @@ class MapProblem:
             axis += float(weight @ off / weight.sum())
         off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
         centred = np.eye(len(angles)) - weight / weight.sum()
-        return off / RIGHT_ANGLE_STD_RAD, centred / RIGHT_ANGLE_STD_RAD
+        return off / self.right_angle_std_rad, centred / self.right_angle_std_rad
 
     def cost(self, state: MapState, assignment: Assignment) -> float:
         """Return twice the negative log-likelihood of all, up to a constant."""
@@ -591,7 +604,7 @@ class MapProblem:
             + np.square(residuals[:, 1]).sum()
             + ROBUST_LIMIT**2 * unexplained
             + np.square(self.tie_residuals(state, assignment)).sum()
-            + robust_cost(self.angle_residuals(state, assignment)[0]).sum()
+            + robust_cost(self.angle_residuals(state, assignment)[0], self._right_angle_limit).sum()
             + np.square(self.prior @ state.parameters).sum()
             + (np.square(self.level_residuals(state.levels)[0]).sum() if len(state.levels) else 0.0)
         )
@@ -645,7 +658,7 @@ class MapProblem:
             h[at] -= J * residual
         # 4. Right angles.
         r, J = self.angle_residuals(state, assignment)
-        weight = robust_weight(r)
+        weight = robust_weight(r, self._right_angle_limit)
         angles = slice(0, WALL * len(r), WALL)
         D[angles, angles] += J.T @ (weight[:, None] * J)
         h[angles] -= J.T @ (weight * r)

@@ -44,8 +44,9 @@ from localization.mapping.problem import (
     MIN_GAIN,
     NO_FEATURE,
     NO_LEVEL,
-    RIGHT_ANGLE_STD_RAD,
+    RIGHT_ANGLE_LIMIT_RAD,
     ROBUST_LIMIT,
+    SQUARE_STD_RAD,
     Levels,
     robust_cost,
 )
@@ -69,6 +70,8 @@ MAX_TURN_RAD: Final = radians(15.0)
 """A wall that is off the axes by more is meant to be."""
 TURNS_RAD: Final = np.radians(np.linspace(-6.0, 6.0, 49))
 """Turns of a wall with levels that are compared: a step of 0.8 in within 34 in looks like a slope of 2.3 degrees."""
+COMMON_TURNS_RAD: Final = np.radians(np.linspace(-1.5, 1.5, 61))
+"""Turns of all walls at right angles that are compared."""
 MIN_TURN_GAIN: Final = 1.0
 """Cost of its stretches that a turn must save to be tried."""
 SWALLOW_IN: Final = 40.0
@@ -489,8 +492,8 @@ def square(estimate: MapEstimate) -> int:
     """
     turned = 0
     for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
-        off = estimate.problem.angle_residuals(estimate.state, estimate.assignment)[0] * RIGHT_ANGLE_STD_RAD
-        if not len(off) or not ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD < abs(off[wall]) < MAX_TURN_RAD:
+        off = _off_axes(estimate)
+        if not len(off) or not RIGHT_ANGLE_LIMIT_RAD < abs(off[wall]) < MAX_TURN_RAD:
             continue
         turned += _turn_if_cheaper(estimate, wall, -float(off[wall]))
     return turned
@@ -506,12 +509,46 @@ def turn_walls(estimate: MapEstimate) -> int:
     for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
         if not len(estimate.echoes_of(wall)):
             continue
-        middle_in = float(estimate.extents[wall].mean())
-        costs = costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, TURNS_RAD)
+        costs = _costs_of_turns(estimate, wall, TURNS_RAD)
         best = int(costs.argmin())
         if costs[best] <= costs[present] - MIN_TURN_GAIN:
             turned += _turn_if_cheaper(estimate, wall, float(TURNS_RAD[best]))
     return turned
+
+
+def align(estimate: MapEstimate) -> None:
+    """Turn the walls with levels that are square by one angle, to where their stretches are most probable.
+
+    All of them together tell the direction of the building best. Levels that may drift from cell to cell follow any
+    slope, so the optimizer says little about it; it would undo the turn, and comes before.
+    """
+    if not estimate.surface_in:
+        return
+    # 1. All of them at right angles.
+    estimate.problem = estimate.problem.with_right_angles(SQUARE_STD_RAD)
+    for _ in range(2):
+        estimate.optimize(LAST_STEPS)
+        estimate.associate()
+    # 2. The turn with the least sum of costs. Surfaces stay where they are.
+    is_square = np.abs(_off_axes(estimate)) < RIGHT_ANGLE_LIMIT_RAD
+    walls = [wall for wall in np.flatnonzero(is_square).tolist() if len(estimate.echoes_of(wall))]
+    if walls:
+        costs = np.sum([_costs_of_turns(estimate, wall, COMMON_TURNS_RAD) for wall in walls], axis=0)
+        turn = float(COMMON_TURNS_RAD[costs.argmin()])
+        for wall in np.flatnonzero(is_square).tolist():
+            estimate.replace_by(_turned_wall(estimate, wall, turn))
+
+
+def _off_axes(estimate: MapEstimate) -> Floats:
+    """Return the angles (w,) of walls from the axes of the building; none of less than two walls."""
+    problem = estimate.problem
+    return problem.angle_residuals(estimate.state, estimate.assignment)[0] * problem.right_angle_std_rad
+
+
+def _costs_of_turns(estimate: MapEstimate, wall: int, turns_rad: Floats) -> Floats:
+    """Return the costs (t,) of the stretches of a wall that is turned about its middle."""
+    middle_in = float(estimate.extents[wall].mean())
+    return costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, turns_rad)
 
 
 def _turn_if_cheaper(estimate: MapEstimate, wall: int, by_rad: float) -> bool:

@@ -16,6 +16,7 @@ from localization.experiments.mapping import (
     Trial,
     closing_error,
     corners_of,
+    distance_to_corner,
     disturbed,
     fit_error,
     lines_beside,
@@ -242,6 +243,23 @@ def test_ends_of_shifted_walls_are_where_they_meet() -> None:
     assert {tuple(place) for place in corners_of(walls, walls).tolist()} == {
         tuple(place) for place in walls.reshape(-1, 2).tolist()
     }
+
+
+def test_parts_of_a_wall_end_where_their_own_lines_do() -> None:
+    """A wall of 10 in stands out by 3 in in its left half, and was learned as two; the right one is longer."""
+    walls = np.array([(0.0, 0.0, 10.0, 0.0), (10.0, 0.0, 10.0, 8.0), (10.0, 8.0, 0.0, 8.0), (0.0, 8.0, 0.0, 0.0)])
+    right, left = walls[0], walls[0] + (0.0, 3.0, 0.0, 3.0)
+    placed = [
+        (0, right, np.array([(4.0, 0.0), (10.0, 0.0)])), (0, left, np.array([(0.0, 3.0), (4.0, 3.0)])),
+        (3, walls[3], np.array([(0.0, 8.0), (0.0, 3.0)])),
+    ]  # fmt: skip
+    ends = {(0.0, 3.0): (left, 0), (10.0, 0.0): (right, 0), (0.0, 2.5): (walls[3], 3)}
+    off = [
+        distance_to_corner(walls, walls, placed, number, line, np.array(end)) for end, (line, number) in ends.items()
+    ]
+    assert off == [0.0, 0.0, 0.5]
+    # A corner of a part that was not learned is that of the straight walls.
+    assert distance_to_corner(walls, walls, [], 2, walls[2], np.array((0.0, 9.0))) == 1.0
 
 
 def test_learned_spots_are_fitted_to_the_surfaces() -> None:

@@ -19,7 +19,9 @@ from localization.mapping.problem import (
     LEVEL_CELL_IN,
     NO_FEATURE,
     NO_LEVEL,
+    RIGHT_ANGLE_STD_RAD,
     SAME_LEVEL_STD_IN,
+    SQUARE_STD_RAD,
     Assignment,
     Levels,
     MapProblem,
@@ -146,8 +148,9 @@ def test_direction_of_a_point_within_the_cone_pulls_nothing(trajectory: Trajecto
     assert np.abs(problem.linearize_echoes(turned, Assignment(feature)).by_pose[:, 1]).max() > 0.0
 
 
-def test_robust_equations_are_half_the_cost_s_gradient(trajectory: Trajectory) -> None:
-    problem = MapProblem(trajectory, 16)
+@pytest.mark.parametrize("std_rad", [RIGHT_ANGLE_STD_RAD, SQUARE_STD_RAD])
+def test_robust_equations_are_half_the_cost_s_gradient(trajectory: Trajectory, std_rad: float) -> None:
+    problem = MapProblem(trajectory, 16, right_angle_std_rad=std_rad)
     state, assignment = perturbed(trajectory, 2)
     _, g = dense(problem.normal_equations(state, assignment))
     h = 1e-5

@@ -33,6 +33,7 @@ from localization.mapping.problem import (
     NO_FEATURE,
     NO_LEVEL,
     PARAMETER_STDS,
+    RIGHT_ANGLE_LIMIT_RAD,
     RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     Assignment,
@@ -410,7 +411,21 @@ def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate
 
 def angle_cost(problem: MapProblem, estimate: MapEstimate, angles: Floats) -> float:
     state = replace(estimate.state, walls=np.column_stack((angles, np.full(len(angles), 50.0))))
-    return float(robust_cost(problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))[0]).sum())
+    residuals = problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))[0]
+    return float(robust_cost(residuals, RIGHT_ANGLE_LIMIT_RAD / problem.right_angle_std_rad).sum())
+
+
+def test_narrower_right_angles_are_as_wide(estimate: MapEstimate) -> None:
+    """What counts as meant to be square stays the same, and all of it costs more by the ratio of the variances."""
+    angles = np.radians((0.0, 90.3, 0.7, 89.0, 13.0))
+    wide = estimate.problem
+    narrow = wide.with_right_angles(RIGHT_ANGLE_STD_RAD / 5.0)
+    assert angle_cost(narrow, estimate, angles) == pytest.approx(25.0 * angle_cost(wide, estimate, angles))
+    assert narrow.cost(estimate.state, estimate.assignment) >= wide.cost(estimate.state, estimate.assignment)
+    # It stays when the measurements change.
+    for like in (narrow.plain, narrow.with_trajectory(wide.trajectory)):
+        assert like.right_angle_std_rad == RIGHT_ANGLE_STD_RAD / 5.0
+        assert like.reflection is wide.reflection
 
 
 @pytest.mark.parametrize("seed", range(5))

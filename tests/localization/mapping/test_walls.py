@@ -636,6 +636,49 @@ def test_walls_with_levels_turn_to_the_direction_of_their_stretches(estimate: Ma
     assert revision.turn_walls(estimate) == 0
 
 
+@pytest.mark.parametrize("turn_deg", [-0.9, 0.6])
+def test_square_walls_turn_together_to_the_direction_of_their_stretches(estimate: MapEstimate, turn_deg: float) -> None:
+    """Oracle: straight lines by numpy through the surfaces of a room whose true walls are planes."""
+    found = with_levels(estimate)
+    found.optimize(3)
+
+    def mean_slope_deg(of: MapEstimate) -> float:
+        levels = of.state.levels
+        weights = np.sqrt(of.problem.level_information(levels, of.assignment))
+        slopes = [
+            np.polyfit(LEVEL_CELL_IN * levels.cell[own], levels.value_in[own], 1, w=weights[own])[0]
+            for own in (levels.of(wall) for wall in range(len(of.state.walls)))
+        ]
+        return float(np.degrees(np.arctan(slopes)).mean())
+
+    slope_deg = mean_slope_deg(found)
+    for wall in range(len(found.state.walls)):
+        found = revision._turned_wall(found, wall, radians(turn_deg - slope_deg))
+    assert mean_slope_deg(found) == pytest.approx(turn_deg, abs=0.02)
+    revision.align(found)
+    assert mean_slope_deg(found) == pytest.approx(0.0, abs=0.1)
+    off_axes = np.degrees(wrap_angle(4.0 * (found.state.walls[:, 0] - found.state.walls[0, 0]))) / 4.0
+    np.testing.assert_allclose(off_axes, 0.0, atol=0.1)
+
+
+def test_planes_and_a_lonely_wall_are_not_aligned(estimate: MapEstimate) -> None:
+    plane = estimate.copy()
+    revision.align(plane)
+    np.testing.assert_array_equal(plane.state.walls, estimate.state.walls)
+    assert plane.problem is estimate.problem
+    alone = with_levels(estimate)
+    alone.optimize(3)
+    while len(alone.state.walls) > 1:
+        alone.remove(len(alone.state.walls) - 1)
+    alone.associate()
+    kept = alone.copy()
+    for _ in range(2):
+        kept.optimize(revision.LAST_STEPS)
+        kept.associate()
+    revision.align(alone)
+    np.testing.assert_array_equal(alone.state.walls, kept.state.walls)
+
+
 def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstimate) -> None:
     """Oracle: ends and spots of the surface in the plane, of a map that was shifted by 300 in."""
     found, shift = with_levels(estimate), np.array((300.0, -200.0))
