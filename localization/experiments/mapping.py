@@ -571,9 +571,9 @@ def distance_to_corner(
         The true wall of the end, and its line beside the learned one.
     """
     lines = others.copy()
-    away = [float(np.hypot(*(learned - end).T).min()) for _, _, learned in placed]
-    for nearest in np.argsort(away)[::-1]:
-        lines[placed[nearest][0]] = placed[nearest][1]
+    away = nearest_points(end[None], np.array([learned for _, _, learned in placed]).reshape(-1, 4))[1][0]
+    for part in np.argsort(away)[::-1]:
+        lines[placed[part][0]] = placed[part][1]
     lines[number] = line
     return float(np.hypot(*(corners_of(walls, lines) - end).T).min())
 

@@ -5,9 +5,10 @@
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
         join what was not recognized; births from all echoes; open, part, join, merge, split, swallow, absorb, posts,
-        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls; trim
-        surfaces
-    once more in rounds of another size, if the map is poor or walls have levels (`learn_log`)
+        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls; drop
+        slanted walls that explain hardly anything; trim surfaces
+    once more in rounds of another size, if the map is poor or walls have levels; turn all walls at right angles of the
+    cheaper map together (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
 """
@@ -26,15 +27,15 @@ from localization.mapping.association import LAG_NODES, MapEstimate, align_headi
 from localization.mapping.features import close_loops, find_births
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.merging import merge, open_faces, split, split_surfaces
-from localization.mapping.problem import PARAMETER_STDS, PLANES, RIGHT_ANGLE_STD_RAD, MapProblem, Reflection
+from localization.mapping.problem import PARAMETER_STDS, PLANES, MapProblem, Reflection
 from localization.mapping.revision import (
     LAST_STEPS,
     absorb_points,
     add_posts,
-    align,
     close_wall_ends,
     drop_corner_cuts,
     drop_hidden,
+    drop_slanted,
     drop_unmeasured,
     join_points,
     part_late_points,
@@ -45,6 +46,7 @@ from localization.mapping.revision import (
     swallow,
     tie_points,
     trim_surfaces,
+    turn_together,
     turn_walls,
 )
 
@@ -157,6 +159,7 @@ class MapLearner:
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
         turn_walls(self.estimate)
+        drop_slanted(self.estimate)
         # Walls that were two by the weights of before.
         if merge(self.estimate):
             tie_points(self.estimate)
@@ -167,7 +170,6 @@ class MapLearner:
         split_surfaces(self.estimate)
         close_wall_ends(self.estimate)
         trim_surfaces(self.estimate)
-        align(self.estimate)
 
 
 def reflection_of(sonar: ConeSonar, roughness_in: float | None) -> tuple[float, Reflection]:
@@ -245,14 +247,15 @@ def learn_log(
     if not has_levels and not is_poor:
         return first
     second = learned(LEVEL_NODES if has_levels else OTHER_NODES)
-    return min((first, second), key=_cost_by_readings)
+    best = min((first, second), key=_cost_by_readings)
+    turn_together(best.estimate)
+    return best
 
 
 def _cost_by_readings(learner: MapLearner) -> float:
-    """Return the cost of a map with the weights and right angles of before there is one: the same for all maps."""
+    """Return the cost of a map with the weights that ranges have before there is one: the same for all maps."""
     estimate = learner.estimate.copy()
-    problem = estimate.problem.with_trajectory(learner.trajectory)
-    estimate.problem = problem.with_right_angles(RIGHT_ANGLE_STD_RAD)
+    estimate.problem = estimate.problem.with_trajectory(learner.trajectory)
     if estimate.surface_in:
         # With those that `trim_surfaces` has left out.
         estimate.associate()

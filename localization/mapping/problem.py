@@ -31,9 +31,10 @@ Processes (1991), section 10.1: levels that change at random.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from math import hypot, radians
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +78,7 @@ RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
 than the robust limit counts hardly. A robot that turns by a radian loses its heading by 6 degrees, and gets it back
 from walls; without this the directions of rooms would be known only by what is seen through their doors."""
 RIGHT_ANGLE_LIMIT_RAD: Final = ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD
+"""What is off by more is meant to be slanted."""
 SQUARE_STD_RAD: Final = radians(0.1)
 """Walls meant to be at right angles are within this: builders keep to 8 mm in 3 m, 0.15 degrees (DIN 18202)."""
 AXES_STEPS: Final = 8
@@ -374,7 +376,7 @@ class MapProblem:
     reflection
         How walls reflect.
     right_angle_std_rad
-        Standard deviation of right angles, of walls that are within RIGHT_ANGLE_LIMIT_RAD of one.
+        Standard deviation of right angles.
     """
 
     def __init__(
@@ -384,7 +386,6 @@ class MapProblem:
     ) -> None:  # fmt: skip
         self.trajectory, self.rays, self.robust, self.has_fixed_map = trajectory, rays, robust, has_fixed_map
         self.reflection, self.right_angle_std_rad = reflection, right_angle_std_rad
-        self._right_angle_limit = RIGHT_ANGLE_LIMIT_RAD / right_angle_std_rad
         self._wall_bearing_std_rad = WALL_BEARING_STD_RAD * (reflection.half_cone_rad / HALF_CONE_RAD)
         self._stds, self._parameters = parameter_stds, len(parameter_stds) + sonars
         own = np.r_[np.zeros(len(parameter_stds)), np.full(sonars, 1.0 / (sonars * OWN_MEAN_STD_IN))]
@@ -395,24 +396,21 @@ class MapProblem:
     @property
     def plain(self) -> MapProblem:
         """The same problem by plain least squares, without robust weights."""
-        return self._like(self.trajectory, False, self.has_fixed_map)
+        return self._with(robust=False)
 
     def with_trajectory(self, trajectory: Trajectory, *, has_fixed_map: bool = False) -> MapProblem:
         """Return the same problem with other measurements."""
-        return self._like(trajectory, self.robust, has_fixed_map)
+        return self._with(trajectory=trajectory, has_fixed_map=has_fixed_map)
 
     def with_right_angles(self, std_rad: float) -> MapProblem:
         """Return the same problem with another standard deviation of right angles."""
-        return self._like(self.trajectory, self.robust, self.has_fixed_map, std_rad)
+        return self._with(right_angle_std_rad=std_rad)
 
-    def _like(
-        self, trajectory: Trajectory, robust: bool, has_fixed_map: bool, right_angle_std_rad: float | None = None
-    ) -> MapProblem:
-        return MapProblem(
-            trajectory, self._parameters - len(self._stds), rays=self.rays, robust=robust, has_fixed_map=has_fixed_map,
-            parameter_stds=self._stds, reflection=self.reflection,
-            right_angle_std_rad=right_angle_std_rad or self.right_angle_std_rad,
-        )  # fmt: skip
+    def _with(self, **changes: Any) -> MapProblem:
+        found = copy(self)
+        for name, value in changes.items():
+            setattr(found, name, value)
+        return found
 
     def initial(self) -> MapState:
         """Return the first pose at the origin, nothing else, and an ideal robot."""
@@ -586,7 +584,7 @@ class MapProblem:
         quarter = 0.5 * np.pi
         for _ in range(AXES_STEPS):
             off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
-            weight = robust_weight(off / RIGHT_ANGLE_STD_RAD)
+            weight = robust_weight(off / self.right_angle_std_rad)
             axis += float(weight @ off / weight.sum())
         off = (angles - axis + 0.5 * quarter) % quarter - 0.5 * quarter
         centred = np.eye(len(angles)) - weight / weight.sum()
@@ -604,7 +602,7 @@ class MapProblem:
             + np.square(residuals[:, 1]).sum()
             + ROBUST_LIMIT**2 * unexplained
             + np.square(self.tie_residuals(state, assignment)).sum()
-            + robust_cost(self.angle_residuals(state, assignment)[0], self._right_angle_limit).sum()
+            + robust_cost(self.angle_residuals(state, assignment)[0]).sum()
             + np.square(self.prior @ state.parameters).sum()
             + (np.square(self.level_residuals(state.levels)[0]).sum() if len(state.levels) else 0.0)
         )
@@ -658,7 +656,7 @@ class MapProblem:
             h[at] -= J * residual
         # 4. Right angles.
         r, J = self.angle_residuals(state, assignment)
-        weight = robust_weight(r, self._right_angle_limit)
+        weight = robust_weight(r)
         angles = slice(0, WALL * len(r), WALL)
         D[angles, angles] += J.T @ (weight[:, None] * J)
         h[angles] -= J.T @ (weight * r)

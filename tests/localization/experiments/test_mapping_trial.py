@@ -260,6 +260,12 @@ def test_parts_of_a_wall_end_where_their_own_lines_do() -> None:
     assert off == [0.0, 0.0, 0.5]
     # A corner of a part that was not learned is that of the straight walls.
     assert distance_to_corner(walls, walls, [], 2, walls[2], np.array((0.0, 9.0))) == 1.0
+    # A wall that ends in the middle of a part ends at its line, however near the ends of another part are.
+    inner = np.vstack((walls, (3.5, 0.0, 3.5, 4.0)))
+    parts = [
+        (0, right, np.array([(3.0, 0.0), (10.0, 0.0)])), (0, left, np.array([(0.0, 3.0), (3.0, 3.0)])),
+    ]  # fmt: skip
+    assert distance_to_corner(inner, inner, parts, 4, inner[4], np.array((3.5, 0.25))) == 0.25
 
 
 def test_learned_spots_are_fitted_to_the_surfaces() -> None:

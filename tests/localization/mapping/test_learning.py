@@ -552,9 +552,13 @@ def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     monkeypatch.setattr("localization.mapping.learn.MapLearner", Learner)
     monkeypatch.setattr("localization.mapping.learn._cost_by_readings", lambda learner: learner.estimate.cost)
     monkeypatch.setattr(Learner, "misfit", misfit)
+    turned: list[float] = []
+    monkeypatch.setattr("localization.mapping.learn.turn_together", lambda estimate: turned.append(estimate.cost))
     Learner.made.clear()
     assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best
     assert Learner.made == made
+    # Of two maps the chosen one alone.
+    assert turned == [1000.0 / best] * (len(made) - 1)
 
 
 def test_maps_are_compared_with_the_weights_of_readings_alone(estimate: MapEstimate) -> None:

@@ -33,7 +33,6 @@ from localization.mapping.problem import (
     NO_FEATURE,
     NO_LEVEL,
     PARAMETER_STDS,
-    RIGHT_ANGLE_LIMIT_RAD,
     RIGHT_ANGLE_STD_RAD,
     ROBUST_LIMIT,
     Assignment,
@@ -411,21 +410,28 @@ def test_crossings_of_the_path_are_where_it_meets_the_line(estimate: MapEstimate
 
 def angle_cost(problem: MapProblem, estimate: MapEstimate, angles: Floats) -> float:
     state = replace(estimate.state, walls=np.column_stack((angles, np.full(len(angles), 50.0))))
-    residuals = problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))[0]
-    return float(robust_cost(residuals, RIGHT_ANGLE_LIMIT_RAD / problem.right_angle_std_rad).sum())
+    return float(robust_cost(problem.angle_residuals(state, Assignment(np.zeros(9, dtype=np.intp)))[0]).sum())
 
 
-def test_narrower_right_angles_are_as_wide(estimate: MapEstimate) -> None:
-    """What counts as meant to be square stays the same, and all of it costs more by the ratio of the variances."""
-    angles = np.radians((0.0, 90.3, 0.7, 89.0, 13.0))
-    wide = estimate.problem
-    narrow = wide.with_right_angles(RIGHT_ANGLE_STD_RAD / 5.0)
-    assert angle_cost(narrow, estimate, angles) == pytest.approx(25.0 * angle_cost(wide, estimate, angles))
-    assert narrow.cost(estimate.state, estimate.assignment) >= wide.cost(estimate.state, estimate.assignment)
+def test_right_angles_have_the_standard_deviation_of_the_problem(estimate: MapEstimate) -> None:
+    """Oracle: the robust cost by hand, of walls whose axes are those of the first four."""
+    narrow = estimate.problem.with_right_angles(radians(0.1))
+    off_deg = np.array((-0.05, 0.05, -0.05, 0.05, 13.0))
+    axes_deg = np.array((0.0, 90.0, 0.0, -90.0, 0.0))
+    angles = np.radians(off_deg + axes_deg)
+    state = replace(estimate.state, walls=np.column_stack((angles, np.full(5, 50.0))), points=estimate.state.points[:0])
+    explained = Assignment(np.full(len(estimate.assignment.feature), NO_FEATURE))
+    r2 = np.square(off_deg / 0.1)
+    expected = float((6.25 * r2 / (6.25 + r2)).sum())
+    assert angle_cost(narrow, estimate, angles) == pytest.approx(expected, rel=1e-3)
+    # As in the cost of the map, without the angles.
+    straight = replace(state, walls=np.column_stack((np.zeros(5), np.full(5, 50.0))))
+    change = narrow.cost(state, explained) - narrow.cost(straight, explained)
+    assert change == pytest.approx(expected, rel=1e-3)
     # It stays when the measurements change.
-    for like in (narrow.plain, narrow.with_trajectory(wide.trajectory)):
-        assert like.right_angle_std_rad == RIGHT_ANGLE_STD_RAD / 5.0
-        assert like.reflection is wide.reflection
+    for like in (narrow.plain, narrow.with_trajectory(estimate.problem.trajectory)):
+        assert like.right_angle_std_rad == radians(0.1)
+        assert like.reflection is estimate.problem.reflection
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import radians
+from math import radians, tan
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from localization.filters.belief import Floats, wrap_angle
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association, output, revision, spans, walls
 from localization.mapping.association import MapEstimate, residual_matrix, segments_of
 from localization.mapping.explore import _span_places
+from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rotate
 from localization.mapping.merging import find_undecided, split_surfaces
 from localization.mapping.output import describe, summary
@@ -22,6 +25,7 @@ from localization.mapping.revision import close_wall_ends, drop_corner_cuts, joi
 from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
 from localization.mapping.surfaces import costs_of_turns
 from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
+from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world
 from worlds.world import SurfaceSpot
 
@@ -477,6 +481,49 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(
         assert wall.accuracy.surface == tuple(SurfaceSpot(*spot) for spot in np.round(wall.surface, 3).tolist())
 
 
+def test_slanted_walls_must_show_in_the_ranges(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall across a corner, 45 and 20 in from it, takes some echoes of both walls; without it these explain them."""
+    slanted = np.array(((-25.0, 30.0), (-5.0, 75.0)))
+    along = slanted[1] - slanted[0]
+    angle = float(np.arctan2(-along[0], along[1]))
+    line = np.array((angle, slanted[0] @ (np.cos(angle), np.sin(angle))))
+    extent = np.sort(slanted @ (-np.sin(angle), np.cos(angle)))
+
+    def with_slanted(made: MapEstimate) -> MapEstimate:
+        made.add_wall(line, extent)
+        made.associate()
+        made.optimize(3)
+        return made
+
+    made = with_slanted(with_levels(estimate))
+    count, kept = len(made.state.walls), made.copy()
+    assert len(made.echoes_of(count - 1)) > 0
+    # What the wall saves: the cost of ranges, odometry and levels without it, less that with it.
+    without = made.copy()
+    without.remove(count - 1)
+    for of_map in (kept, without):
+        revision._settle(of_map)
+    saved = sum(
+        sign * (of_map.problem.cost(of_map.state, of_map.assignment) + of_map._level_penalties.sum())
+        for sign, of_map in ((1.0, without), (-1.0, kept))
+    )
+    saved += float(kept.surface_costs[-1])
+    for limit, dropped in ((saved - 1.0, 0), (saved + 1.0, 1)):
+        monkeypatch.setattr(revision, "MIN_SLANTED_GAIN", limit)
+        trial = made.copy()
+        assert revision.drop_slanted(trial) == dropped
+        assert len(trial.state.walls) == count - dropped
+    # Planes are left to `prune`.
+    assert revision.drop_slanted(with_slanted(estimate.copy())) == 0
+    # Of two slanted walls with others between them the one that explains many ranges stays.
+    monkeypatch.undo()
+    second = revision._turned_wall(made, 1, radians(5.0))
+    monkeypatch.setattr(revision, "_off_axes", lambda _: np.radians((0.0, 20.0, 0.0, 0.0, 30.0)))
+    assert revision.drop_slanted(second) == 1
+    assert len(second.state.walls) == count - 1
+    assert len(second.echoes_of(1)) > 20
+
+
 def test_measured_part_of_a_wall_moves_with_it() -> None:
     piece = walls.Piece(0, 12.0, 30.0, np.array(((10.0, 5.0), (34.0, 5.0))), [True, True], 9, spots=(15.0, 26.0))
     np.testing.assert_allclose(piece.measured_ends, ((15.0, 5.0), (26.0, 5.0)))
@@ -655,15 +702,15 @@ def test_square_walls_turn_together_to_the_direction_of_their_stretches(estimate
     for wall in range(len(found.state.walls)):
         found = revision._turned_wall(found, wall, radians(turn_deg - slope_deg))
     assert mean_slope_deg(found) == pytest.approx(turn_deg, abs=0.02)
-    revision.align(found)
+    revision.turn_together(found)
     assert mean_slope_deg(found) == pytest.approx(0.0, abs=0.1)
     off_axes = np.degrees(wrap_angle(4.0 * (found.state.walls[:, 0] - found.state.walls[0, 0]))) / 4.0
     np.testing.assert_allclose(off_axes, 0.0, atol=0.1)
 
 
-def test_planes_and_a_lonely_wall_are_not_aligned(estimate: MapEstimate) -> None:
+def test_planes_and_a_single_wall_are_not_turned(estimate: MapEstimate) -> None:
     plane = estimate.copy()
-    revision.align(plane)
+    revision.turn_together(plane)
     np.testing.assert_array_equal(plane.state.walls, estimate.state.walls)
     assert plane.problem is estimate.problem
     alone = with_levels(estimate)
@@ -671,12 +718,26 @@ def test_planes_and_a_lonely_wall_are_not_aligned(estimate: MapEstimate) -> None
     while len(alone.state.walls) > 1:
         alone.remove(len(alone.state.walls) - 1)
     alone.associate()
-    kept = alone.copy()
-    for _ in range(2):
-        kept.optimize(revision.LAST_STEPS)
-        kept.associate()
-    revision.align(alone)
-    np.testing.assert_array_equal(alone.state.walls, kept.state.walls)
+    before = alone.state.walls.copy()
+    revision.turn_together(alone)
+    np.testing.assert_array_equal(alone.state.walls, before)
+
+
+@pytest.mark.parametrize("slant_deg", [3.0, 6.0])
+def test_slanted_walls_stay_when_the_others_turn(slant_deg: float) -> None:
+    """Oracle: the true angles between the walls of a room one of which is slanted."""
+    outline = (*ROOM[:3], (0.0, 100.0 + 120.0 * tan(radians(slant_deg))))
+    planes = learn_map(drive(1, outlines=(outline,)), OdometryNoise(0.05, 0.05, 0.002), ConeSonar())
+    found = with_levels(planes)
+    found.optimize(3)
+    assert len(found.state.walls) == 4
+    revision.turn_together(found)
+    off = np.degrees(wrap_angle(4.0 * (found.state.walls[:, 0] - found.state.walls[0, 0])) / 4.0)
+    slanted = np.abs(off) > 1.0
+    assert np.abs(off[~slanted]).max() < 0.15
+    # Seen from any of the walls, the slanted one among them.
+    assert sorted(np.round(np.abs(off[slanted]) / slant_deg).tolist()) in ([1.0], [1.0] * 3)
+    np.testing.assert_allclose(np.abs(off[slanted]), slant_deg, atol=0.7)
 
 
 def test_a_wall_turns_about_its_middle_wherever_the_origin_is(estimate: MapEstimate) -> None:
