@@ -34,7 +34,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass, field, replace
 from math import hypot, radians
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -78,9 +78,9 @@ RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
 than the robust limit counts hardly. A robot that turns by a radian loses its heading by 6 degrees, and gets it back
 from walls; without this the directions of rooms would be known only by what is seen through their doors."""
 RIGHT_ANGLE_LIMIT_RAD: Final = ROBUST_LIMIT * RIGHT_ANGLE_STD_RAD
-"""What is off by more is meant to be slanted."""
+"""A wall that is off the axes by more is meant to be slanted."""
 SQUARE_STD_RAD: Final = radians(0.1)
-"""Walls meant to be at right angles are within this: builders keep to 8 mm in 3 m, 0.15 degrees (DIN 18202)."""
+"""Right angles of walls with levels in the end: DIN 18202 allows builders 8 mm in 3 m, 0.15 degrees."""
 AXES_STEPS: Final = 8
 """Steps of reweighting from the direction of one wall to the axes that cost least."""
 _FRAME_INFORMATION: Final = 1e8
@@ -396,20 +396,20 @@ class MapProblem:
     @property
     def plain(self) -> MapProblem:
         """The same problem by plain least squares, without robust weights."""
-        return self._with(robust=False)
+        found = copy(self)
+        found.robust = False
+        return found
 
     def with_trajectory(self, trajectory: Trajectory, *, has_fixed_map: bool = False) -> MapProblem:
         """Return the same problem with other measurements."""
-        return self._with(trajectory=trajectory, has_fixed_map=has_fixed_map)
+        found = copy(self)
+        found.trajectory, found.has_fixed_map = trajectory, has_fixed_map
+        return found
 
     def with_right_angles(self, std_rad: float) -> MapProblem:
         """Return the same problem with another standard deviation of right angles."""
-        return self._with(right_angle_std_rad=std_rad)
-
-    def _with(self, **changes: Any) -> MapProblem:
         found = copy(self)
-        for name, value in changes.items():
-            setattr(found, name, value)
+        found.right_angle_std_rad = std_rad
         return found
 
     def initial(self) -> MapState:

@@ -8,7 +8,8 @@
     join     two points become the ends of a wall
     absorb   a point on a wall becomes part of it
     square   a wall with levels turns to the axes of the building
-    turn     a wall with levels turns to the direction of its most probable stretches; at the end all at right angles do
+    turn     a wall with levels turns to the direction of its most probable stretches
+    together all walls with levels at right angles turn by one angle, not optimized afterwards
     drop     what is hidden behind walls, across their corners, or measured no more is removed, whatever it costs; and
              slanted walls with levels that explain hardly anything
     trim     echoes of a wall with levels from where there is no wall in the end are left out
@@ -73,7 +74,7 @@ MAX_TURN_RAD: Final = radians(15.0)
 TURNS_RAD: Final = np.radians(np.linspace(-6.0, 6.0, 49))
 """Turns of a wall with levels that are compared: a step of 0.8 in within 34 in looks like a slope of 2.3 degrees."""
 MIN_SLANTED_GAIN: Final = 20.0
-"""Cost that a slanted wall must save, its own left out: in 72 maps of 36 drives the true ones saved 31 or more."""
+"""Cost of ranges that a slanted wall must save: in 72 maps of 36 drives the true ones saved 31 or more."""
 COMMON_TURNS_RAD: Final = np.radians(np.linspace(-1.5, 1.5, 61))
 """Turns of all walls at right angles that are compared, a little beyond RIGHT_ANGLE_LIMIT_RAD."""
 MIN_TURN_GAIN: Final = 1.0
@@ -267,24 +268,25 @@ def drop_corner_cuts(estimate: MapEstimate) -> int:
 def drop_slanted(estimate: MapEstimate) -> int:
     """Remove walls with levels that are off the axes and explain hardly anything; return their number.
 
-    A few echoes between two posts beside a corner of a room are enough for a wall across it (`Span.is_measured`): such
-    a wall need not pay for itself, as a true one that was measured from its ends could not either. Slanted walls are
-    rare, so they must show in the ranges.
+    A wall between two posts is added if a few echoes are of its surface (`Span.is_measured`), although it costs more
+    than it saves: a true one that is seen mainly from its ends does so as well. Two posts beside the corner of a room
+    make such a wall across the corner. Slanted walls are rare, so these must save something.
     """
     slanted = np.flatnonzero(np.abs(_off_axes(estimate)) > RIGHT_ANGLE_LIMIT_RAD).tolist()
     if not estimate.surface_in or not slanted:
         return 0
-    kept, dropped = estimate.copy(), 0
-    _settle(kept)
+    revised, dropped = estimate.copy(), 0
+    _settle(revised)
+    # From the last one, since those after a removed wall have other numbers.
     for wall in reversed(slanted):
-        trial = kept.copy()
+        trial = revised.copy()
         trial.remove(wall)
         _settle(trial)
-        saved = trial.cost - kept.cost + PENALTY["wall"] + float(kept.surface_costs[wall])
+        saved = trial.cost - revised.cost + PENALTY["wall"] + float(revised.surface_costs[wall])
         if saved < MIN_SLANTED_GAIN:
-            kept, dropped = trial, dropped + 1
+            revised, dropped = trial, dropped + 1
     if dropped:
-        estimate.replace_by(kept)
+        estimate.replace_by(revised)
     return dropped
 
 
@@ -547,15 +549,15 @@ def turn_walls(estimate: MapEstimate) -> int:
 def turn_together(estimate: MapEstimate) -> None:
     """Bring walls with levels to right angles, then turn all of these by one common angle.
 
-    Levels may drift from cell to cell, so a slope costs them hardly anything: the optimizer leaves a wall wherever it
-    was found. All walls at right angles together show their direction best, by the costs of their stretches. Optimizing
-    once more would undo that turn.
+    Levels may drift from cell to cell, so a slope of a wall costs hardly anything, and the optimizer does not correct
+    it. The costs of the stretches of all walls at right angles determine their common direction best. Optimizing
+    afterwards would undo that turn. The problem has SQUARE_STD_RAD from then on.
     """
     off = _off_axes(estimate)
     is_square = np.abs(off) < RIGHT_ANGLE_LIMIT_RAD
     if not estimate.surface_in or not is_square.any():
         return
-    # 1. At right angles, and kept there.
+    # 1. Right angles.
     walls = np.flatnonzero(is_square).tolist()
     for wall in walls:
         estimate.replace_by(_turned_wall(estimate, wall, -float(off[wall])))

@@ -41,11 +41,11 @@ class Division(NamedTuple):
     Attributes
     ----------
     begins
-        (l,) True where a stretch begins, but the first one.
+        (l,) True where a stretch begins, except the first one.
     levels
         (l,) level of each cell.
     cost
-        The sum that it has the least of, less what all divisions have in common.
+        Its sum, without what all divisions of the wall have in common.
     """
 
     begins: npt.NDArray[np.bool_]
