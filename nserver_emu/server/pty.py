@@ -3,9 +3,12 @@
     PATH -> /dev/pts/7 (the host's end)        fd (the server's end, raw, non-blocking)
 
 A file at PATH that is no symbolic link is not replaced, nor is a link that another running server uses; a link left by
-a killed server is replaced. Only the server's end stays open here: the system reports a hang-up (EIO, POLLHUP) when the
-last host closes its end. A host that opens the link immediately after another closed it, before the server has seen the
-hang-up, is not recognised as a new host.
+a killed server is replaced. Until then the system may give the number of its terminal to another program, and a client
+that reconnects would write to that one: remove such a link if no server is started again.
+
+Only the server's end stays open here: the system reports a hang-up (EIO, POLLHUP) when the last host closes its end. A
+host that opens the link immediately after another closed it, before the server has seen the hang-up, is not recognised
+as a new host.
 
 A host that sets another baud rate than the robot's gets nonsense, and the robot gets nothing of it, as on a cable. A
 change of the rate is noticed within 2 ms, less than a request and its reply take on a cable at usual rates.
@@ -105,8 +108,13 @@ class PseudoTerminal:
 
     def replace(self) -> None:
         """Hang up on the host, as an unplugged adapter does, and put a new pseudo-terminal behind the link."""
-        self._release()
-        self._open()
+        old, self.fd = self.fd, -1
+        self._poll.unregister(old)
+        try:
+            self._open()
+        finally:
+            # Not before the link leads to the new one: another program may get the number of a closed terminal.
+            os.close(old)
 
     def restore_link(self) -> bool:
         """Create the link again if it was removed; return True if so."""

@@ -17,6 +17,7 @@ from nclient import connect
 from nclient.errors import ConnectionLost, RobotRefused
 from nclient.robot import Robot
 from tests.programs.forked import Forked
+from tests.programs.ports import reserved
 from tests.waiting import wait_until
 
 TIMEOUT_S = 30.0
@@ -129,9 +130,10 @@ def test_gateway_limits_speed_and_reconnects_to_line(tmp_path: Path) -> None:
                 driver.drive(translation_in_s=2)
                 time.sleep(2.5)
                 assert not observer.refresh().moving
-            robot.end(signal.SIGKILL)
-            wait_until(lambda: error_code(watcher) == 6)
-            link.unlink(missing_ok=True)
+            with reserved(link):
+                robot.end(signal.SIGKILL)
+                wait_until(lambda: error_code(watcher) == 6)
+                link.unlink(missing_ok=True)
             again.enter_context(nserver(*robot_words))
             wait_until(lambda: error_code(watcher) is None)
             # The keep-alive thread has noticed the loss first.

@@ -17,6 +17,7 @@ from nclient import ConnectionLost, capi, connect
 from nclient.errors import ReplyTimeout
 from nclient.robot import Robot
 from tests.programs.forked import Forked
+from tests.programs.ports import reserved
 from tests.waiting import CLOSE_NOTICED_S, wait_until
 
 TIMEOUT_S = 30.0
@@ -102,14 +103,15 @@ def test_client_reconnects_to_restarted_server(how: signal.Signals, tmp_path: Pa
     link = tmp_path / "robot"
     with run_server("--serial-link", str(link)) as first, connect(f"serial://{link}?reconnect=0.2") as robot:
         robot.refresh()
-        first.end(how)
-        with pytest.raises(ConnectionLost):
-            robot.refresh()
-        with run_server("--serial-link", str(link)):
-            count_losses(robot)
-            assert robot.link is not None
-            # One loss and one reconnection, however many calls failed in between.
-            assert (robot.link.losses, robot.link.reconnects) == (1, 1)
+        with reserved(link):
+            first.end(how)
+            with pytest.raises(ConnectionLost):
+                robot.refresh()
+            with run_server("--serial-link", str(link)):
+                count_losses(robot)
+                assert robot.link is not None
+                # One loss and one reconnection, however many calls failed in between.
+                assert (robot.link.losses, robot.link.reconnects) == (1, 1)
 
 
 DRIVES_AND_SLEEPS = """

@@ -15,6 +15,7 @@ import pytest
 from nclient import ConnectionLost, Robot, connect
 from nserver_emu.control import cli
 from tests.programs.forked import Forked
+from tests.programs.ports import reserved
 
 BACK_S = 30.0
 SET_IN = 12.5
@@ -93,12 +94,13 @@ def test_client_survives_killed_servers_and_hangups(daemon: Daemon, request: pyt
             after_s["pulled"].append(reconnect_time_s(robot))
             # The pseudo-terminal was replaced, the robot is the same.
             assert robot.state.x_in == SET_IN
-            daemon.kill()
-            expect_loss(robot)
-            # Nothing is there yet: further calls fail at once, without another loss.
-            with pytest.raises(ConnectionLost, match="yet"):
-                robot.refresh()
-            daemon.start()
+            with reserved(daemon.link):
+                daemon.kill()
+                expect_loss(robot)
+                # Nothing is there yet: further calls fail at once, without another loss.
+                with pytest.raises(ConnectionLost, match="yet"):
+                    robot.refresh()
+                daemon.start()
             after_s["killed"].append(reconnect_time_s(robot))
             # A new robot: its encoders are at 0.
             assert robot.state.x_in == 0

@@ -150,6 +150,25 @@ def test_replace_hangs_up_and_links_a_new_terminal(terminal: PseudoTerminal, pat
         os.close(end)
 
 
+def test_replaced_terminal_is_closed_after_the_link_leads_to_another(terminal: PseudoTerminal, path: Path) -> None:
+    # No host keeps the old one open, so that its number is free as soon as the server closes it.
+    old = path.readlink()
+    terminal.replace()
+    assert path.readlink() != old
+    assert not old.exists()
+
+
+def test_failed_replacement_closes_the_old_terminal(terminal: PseudoTerminal, path: Path) -> None:
+    old = path.readlink()
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(ConnectionLost, match="no symbolic link"):
+        terminal.replace()
+    assert not old.exists()
+    assert terminal.fd == -1
+    path.rmdir()
+
+
 def test_the_link_is_gone_at_the_end(path: Path) -> None:
     terminal = PseudoTerminal(path)
     assert path.is_symlink()
