@@ -1,48 +1,25 @@
-"""Data association: the reflector that explains each echo, and headings after turns.
+"""Data association: the reflector that explains each echo of a map in the making.
 
 An echo belongs to the reflector whose expected range is nearest, if that is within the gate, the reflector is in the
 cone, the reflecting spot lies on or near the part of the wall seen so far, and no other wall is in between. In the
 finished map, what is behind a wall that must have returned the first echo is the less probable.
 
-After a turn the heading is uncertain by several degrees, more than the nearest reflector allows. So several headings
-are compared before the echoes that follow are assigned (`align_heading`).
-
-The ranges of a finished map count by what the map expects, not by what was read (`weigh_ranges`):
-
-    noise          a fraction of the range: by the reading, one that is too short would count for more than one too long
-    limit          where half of the readings are the lower limit, the others are too long
-    slanted rays   r tan(a) a radian of the heading, of a ray r that meets its wall at the angle a off the normal
-    rounding       a robot that drives along a wall measures the same whole inches again and again: one error, not many
-
-The errors of two readings in steps of q, of ranges m apart with noise of std each, have the covariance
-
-    q^2 sum_k cos(2 pi k m / q) exp(-4 pi^2 k^2 std^2 / q^2) / (2 pi^2 k^2)
-
-A reading of variance R that has the covariances c_j with others of its feature counts for R / (R + sum c_j) of one: the
-mean of n such readings then has the variance of the mean of correlated ones.
-
 References
 ----------
 Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 1.5 (nearest
 neighbour, gating). Neira, Tardos, Data Association in Stochastic Mapping (2001).
-Widrow, Kollar, Quantization Noise (2008), chapters 5 and 19: characteristic functions of quantized noise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import radians
 from operator import is_
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
-from localization.filters.odometry import OdometryNoise, process_variance
-from localization.filters.sonar_cone import to_vertex, to_wall
-from localization.filters.sonar_ray import RangeNoise, intersect_line
-from localization.mapping.measurements import Indices, Trajectory, compose, rotate
+from localization.filters.belief import Floats, wrap_angle
+from localization.mapping.measurements import Indices, compose
 from localization.mapping.problem import (
     COMMON_OFFSET,
     LEVEL_CELL_IN,
@@ -58,27 +35,25 @@ from localization.mapping.problem import (
     robust_cost,
     sensors_at,
 )
+from localization.mapping.reflectors import (
+    BLOCKED_IN,
+    END_ASIDE_IN,
+    END_IN,
+    MAX_GAP_IN,
+    MIN_CROSSING_RAD,
+    Mask,
+    along_and_across,
+    ends_of_parts,
+    growth_of,
+    is_blocked,
+    parts_of,
+    residual_matrix,
+    sides_of,
+    surface_segments,
+    wall_geometry,
+)
 from localization.mapping.surfaces import divided, gate_variances
-from worlds import geometry
 
-Mask = npt.NDArray[np.bool_]
-
-GATE_SIGMAS: Final = 3.0
-GATE_IN: Final = 0.4
-"""Added to the gate: poses and features are uncertain as well."""
-OFF_CONE_RAD: Final = radians(4.0)
-"""Added to the half angle of a cone: the uncertainty of the heading."""
-MIN_GROWTH_IN, MAX_GROWTH_IN, GROWTH = 20.0, 48.0, 0.4
-"""A wall may be measured this fraction of its length beyond the part seen so far, within limits: beyond a gap that a
-robot passes. The line of a wall of 120 in is known well enough beyond a door, but not beyond another wall: after a turn
-at a door a cabinet of the next room, 16 in before an outer wall, was taken for more of that wall."""
-MIN_RAY_COS: Final = 0.2
-"""A ray may belong to a wall that it meets at most 78 degrees off the normal. In rooms 7 % of the rays meet their wall
-at more than 60 degrees, fewer than 1 % at more than 78; what no wall explains gives birth to false ones."""
-MIN_CROSSING_RAD: Final = radians(20.0)
-"""Lines that cross at a smaller angle may be of one wall."""
-BLOCKED_IN: Final = 2.0
-"""A path is blocked by a wall at least this far before its end, and this far within the wall."""
 FIRST_CONE, FIRST_SIGMAS = 0.75, 2.0
 """A wall whose foot is within this fraction of the half cone returns an echo, before all that is behind it: what is
 farther off explains an echo only if it is nearer to its range by so many standard deviations."""
@@ -86,13 +61,8 @@ SAME_RANGE_IN: Final = 1e-6
 """Of one and the same spot, computed twice."""
 SURFACE_SIGMAS: Final = 2.0
 """Standard deviations of a surface by which a wall may be beside its line: so much farther before its end."""
-END_IN, END_ASIDE_IN = 8.0, 1.0
-"""A point so near to the end that a wall's echoes show, and to its line, is its end: sound from 30 in away that has its
-foot 8 in beyond comes an inch late."""
 MAX_STRAYS, MIN_INNER_FEET = 2, 4
 """So few feet beyond a post at the end of a wall with levels are of something else, if so many are left."""
-MAX_GAP_IN: Final = 20.0
-"""Widest part of a wall without a reflecting spot: a gap that a robot of 19 in passes is wider."""
 MIN_RUN_SPOTS: Final = 3
 """Spots without such a gap that make a part of a wall which blocks paths."""
 SIDED_ECHOES, SIDED = 4, 0.8
@@ -113,18 +83,6 @@ CORNER_IN, INNER_IN = 3.0, 12.0
 """A point so near to two walls is their corner; an inner one if one goes on so far in front of the other."""
 PENALTY: Final = {"wall": 40.0, "point": 25.0}
 """Cost that a feature must save to be worth its unknowns: 4 or 6 echoes that nothing else explains."""
-
-# Headings.
-
-TURN_STEP_RAD: Final = 0.05
-"""A robot that turns less between two nodes drives straight."""
-MIN_TURN_RAD, MAX_TURN_RAD = 0.2, 1.0
-LAG_NODES: Final = 20
-"""Nodes that are tracked together: 10 s."""
-ALIGN_NODES: Final = 6
-"""Of a stretch that is tracked: a turn that ended longer ago has its heading."""
-HEADINGS: Final = np.linspace(-3.0, 3.0, 25)
-"""Compared headings, in standard deviations of the turn."""
 
 
 @dataclass
@@ -290,7 +248,8 @@ class MapEstimate:
         """
         sensors = sensors_at(self.state.poses, self.state.parameters, self.problem.trajectory, echoes)
         lines, std_in = self.state.walls[wall : wall + 1], self.problem.trajectory.std_in[echoes]
-        ranges, _, feet, _ = _wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
+        of_wall = wall_geometry(self.problem, self.state, sensors, slice(wall, wall + 1))
+        ranges, feet = of_wall.range_in, of_wall.foot
         fits = np.abs(sensors.range_in - ranges[:, 0]) < ROBUST_LIMIT * std_in
         points = self.state.points[np.abs(along_and_across(self.state.points, lines)[1][:, 0]) < END_ASIDE_IN]
         away = np.hypot(*(sensors.face[:, None] - points).transpose(2, 0, 1))
@@ -376,9 +335,8 @@ class MapEstimate:
 
     @property
     def blocking(self) -> Floats:
-        """Segments (r, 4) that block paths: the measured parts of walls, without BLOCKED_IN at their ends."""
-        walls = self.state.walls[self.runs[:, 0].astype(np.intp)]
-        return segments_of(walls, self.runs[:, 1:], BLOCKED_IN)
+        """Segments (s, 4) that block paths: surfaces of measured parts of walls, without BLOCKED_IN at their ends."""
+        return surface_segments(self.state, self.runs + np.array((0.0, BLOCKED_IN, -BLOCKED_IN)))
 
     @property
     def surface_in(self) -> float:
@@ -480,136 +438,6 @@ def _runs(wall: int, feet: Floats, is_alone: Mask, points: Floats, passed: Float
         for part in parts if len(part) >= MIN_RUN_SPOTS and part[-1] - part[0] > 2.0 * BLOCKED_IN
     ]  # fmt: skip
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
-
-
-def segments_of(walls: Floats, extents: Floats, shorter_in: float = 0.0) -> Floats:
-    """Return walls (w, 2) of extents (w, 2) as segments (w, 4), shortened at both ends."""
-    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
-    along, base = np.stack((-s, c), -1), np.stack((c, s), -1) * walls[:, 1:]
-    first, last = extents[:, :1] + shorter_in, extents[:, 1:] - shorter_in
-    return np.concatenate((base + first * along, base + last * along), axis=-1)
-
-
-def crossings(starts: Floats, ends: Floats, segments: Floats) -> Mask:
-    """Return True (p, s) where the path (p, 2) to (p, 2) crosses the segment (s, 4)."""
-    return geometry.crossings(np.concatenate((starts, ends), axis=1), segments)
-
-
-def is_blocked(starts: Floats, ends: Floats, segments: Floats, before_in: float = BLOCKED_IN) -> Mask:
-    """Return True (p,) for paths that cross a segment at least so many inches before their end."""
-    span = ends - starts
-    length = np.maximum(np.hypot(span[:, 0], span[:, 1]), 1e-9)
-    before = starts + span * (np.maximum(length - before_in, 0.0) / length)[:, None]
-    return np.asarray(crossings(starts, before, segments).any(axis=1), dtype=np.bool_)
-
-
-def sides_of(places: Floats, walls: Floats) -> Floats:
-    """Return the side (p, w) of each wall (w, 2) on which each place (p, 2) is: 1 where its normal points, else -1."""
-    normals = np.stack((np.cos(walls[:, 0]), np.sin(walls[:, 0])), axis=-1)
-    return np.where(places @ normals.T > walls[:, 1], 1.0, -1.0)
-
-
-def along_and_across(points: Floats, walls: Floats) -> tuple[Floats, Floats]:
-    """Return the coordinates (v, w) of points (v, 2) along walls (w, 2), and their distances (v, w) from the lines.
-
-    The direction of a wall is its normal turned left; distances are positive where the normal points.
-    """
-    c, s = np.cos(walls[:, 0]), np.sin(walls[:, 0])
-    x, y = points[:, :1], points[:, 1:]
-    return y * c - x * s, x * c + y * s - walls[:, 1]
-
-
-def _wall_geometry(
-    problem: MapProblem, state: MapState, sensors: Sensors, numbers: slice = slice(None)
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return range, cosine of the angle off the axis, foot (e, w) of each wall, and the variance of its level.
-
-    Of exact rays the cosine is 1, or -1 where a ray leads away from the wall or along it.
-    """
-    walls = state.walls[numbers]
-    c, s = np.cos(walls[None, :, 0]), np.sin(walls[None, :, 0])
-    offset = walls[None, :, 1]
-    x, y, axis = sensors.face[:, :1], sensors.face[:, 1:], sensors.axis[:, None]
-    reflection, variance = problem.reflection, np.zeros((1, 1))
-    if reflection.surface_std_in:
-        # The level where the echo comes from, and how uncertain it is farther on.
-        feet = c * y - s * x
-        row, away_in = state.levels.nearest(np.arange(len(state.walls))[numbers], feet)
-        a = np.where(row != NO_LEVEL, reflection.correlation(away_in), 0.0)
-        offset = offset + a * np.append(state.levels.value_in, 0.0)[row]
-        variance = reflection.surface_std_in**2 * (1.0 - a * a) + a * a * np.append(state.levels.var_in2, 0.0)[row]
-    if problem.rays:
-        dx, dy = unit_vector(axis)
-        ranges, _, cosine = intersect_line(x, y, dx, dy, (c, s, offset))
-        away = (ranges > 0.0) & (np.abs(cosine) > MIN_RAY_COS)
-        return ranges, np.where(away, 1.0, -1.0), c * (y + ranges * dy) - s * (x + ranges * dx), variance
-    ranges, toward_x, toward_y, foot = to_wall(x, y, offset * c, offset * s, c, s)
-    return ranges, toward_x * np.cos(axis) + toward_y * np.sin(axis), -foot, variance
-
-
-def growth_of(walls: Floats, extents: Floats) -> Floats:
-    """Return how far walls (w, 2) may go on beyond either end (w, 2) of the part of them that was seen.
-
-    Beyond another wall that they meet there only MIN_GROWTH_IN: in line with them may be a cabinet of the next room.
-    """
-    growth = np.clip(GROWTH * (extents[:, 1:] - extents[:, :1]), MIN_GROWTH_IN, MAX_GROWTH_IN)
-    # The crossing of two lines, (w, w) along the one and along the other.
-    angle, offset = walls.T
-    between = angle - angle[:, None]
-    crosses = np.abs(np.sin(between)) > np.sin(MIN_CROSSING_RAD)
-    along = (offset - offset[:, None] * np.cos(between)) / np.where(crosses, np.sin(between), 1.0)
-    of_other, (low, high) = along.T, extents.T
-    is_met = crosses & (of_other > low - END_IN) & (of_other < high + END_IN)
-    onward = np.stack((extents[:, :1] - along, along - extents[:, 1:]), axis=-1)
-    limit = np.where(is_met[..., None] & (onward > -END_IN), np.maximum(onward, 0.0) + MIN_GROWTH_IN, np.inf)
-    found: Floats = np.minimum(growth, limit.min(axis=1, initial=np.inf))
-    return found
-
-
-def residual_matrix(
-    problem: MapProblem, state: MapState, extents: Floats, echoes: Indices, sensors: Sensors | None = None
-) -> tuple[Floats, Sensors, Floats]:
-    """Return the residuals (e, f) of echoes by all features in standard deviations, inf where one cannot explain it.
-
-    Parameters
-    ----------
-    problem, state, extents
-        The map.
-    echoes
-        (e,) numbers of the echoes.
-    sensors
-        The sonars at them; by default those of the state.
-
-    Returns
-    -------
-    tuple
-        The residuals; the sonars (e,); the reflecting spots (e, f, 2).
-    """
-    if sensors is None:
-        sensors = sensors_at(state.poses, state.parameters, problem.trajectory, echoes)
-    # 1. Walls: in the cone, and near the part seen so far.
-    ranges, cosine, feet, variance = _wall_geometry(problem, state, sensors)
-    growth = growth_of(state.walls, extents)
-    on_wall = (feet > extents[:, 0] - growth[:, 0]) & (feet < extents[:, 1] + growth[:, 1])
-    c, s = np.cos(state.walls[:, 0]), np.sin(state.walls[:, 0])
-    spots = np.stack((c * state.walls[:, 1] - s * feet, s * state.walls[:, 1] + c * feet), axis=-1)
-    # 2. Points.
-    x, y = sensors.face[:, :1], sensors.face[:, 1:]
-    far, toward_x, toward_y = to_vertex(x, y, state.points[None, :, 0], state.points[None, :, 1])
-    of_point = toward_x * np.cos(sensors.axis)[:, None] + toward_y * np.sin(sensors.axis)[:, None]
-    ranges, cosine = np.concatenate((ranges, far), 1), np.concatenate((cosine, of_point), 1)
-    everywhere = np.ones(far.shape, dtype=np.bool_)
-    spots = np.concatenate((spots, np.broadcast_to(state.points, (*far.shape, 2))), 1)
-    # 3. The gate.
-    std = problem.trajectory.std_in[echoes][:, None]
-    if problem.reflection.surface_std_in:
-        of_points = np.broadcast_to(std, far.shape)
-        std = np.concatenate((np.sqrt(std**2 + variance), of_points), axis=1)
-    residual = sensors.range_in[:, None] - ranges
-    fits = np.abs(residual) < GATE_SIGMAS * std + GATE_IN
-    in_cone = cosine > np.cos(problem.reflection.half_cone_rad + OFF_CONE_RAD)
-    fits &= in_cone & np.concatenate((on_wall, everywhere), 1)
-    return np.where(fits, residual / std, np.inf), sensors, spots
 
 
 def assign(
@@ -768,12 +596,6 @@ def _hidden_points(estimate: MapEstimate) -> _HiddenPoints:
     return _HiddenPoints(points, faces, np.where(from_all, 0.0, wall_side)[at], along[at])
 
 
-def parts_of(runs: Floats, extents: Floats) -> Floats:
-    """Return the measured parts (r, 3) of walls: wall, first and last coordinate; walls without runs (r, 3) are one."""
-    others = np.setdiff1d(np.arange(len(extents)), runs[:, 0].astype(np.intp))
-    return np.concatenate((runs, np.column_stack((others, extents[others]))))
-
-
 def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
     """Return True (v, w) where a part (r, 3) of a wall begins soon after a coordinate, downwards and upwards.
 
@@ -785,196 +607,3 @@ def _go_on(parts: Floats, along: Floats) -> tuple[Mask, Mask]:
         down[:, number] |= (high > at - MAX_GAP_IN) & (low < at - INNER_IN)
         up[:, number] |= (low < at + MAX_GAP_IN) & (high > at + INNER_IN)
     return down, up
-
-
-@dataclass(frozen=True, slots=True)
-class PartEnds:
-    """Points near ends of the parts of walls, each (v, w).
-
-    `side` is 1 where the nearest part begins at a point, -1 where it ends, else 0. `is_within` is True for points
-    inside of a part.
-    """
-
-    side: Floats
-    is_within: Mask
-
-
-def ends_of_parts(parts: Floats, along: Floats) -> PartEnds:
-    """Return the points at ends of the parts (r, 3) of walls, by their coordinates (v, w) along these."""
-    down, up = np.full(along.shape, np.inf), np.full(along.shape, np.inf)
-    is_within = np.zeros(along.shape, dtype=np.bool_)
-    for wall, low, high in parts.tolist():
-        at, number = along[:, int(wall)], int(wall)
-        # Each half of a short part belongs to its nearer end.
-        inner = min(END_IN, 0.5 * (high - low))
-        is_above, is_below = at > high - inner, at <= low + inner
-        down[:, number] = np.where(is_above, np.minimum(down[:, number], np.abs(at - high)), down[:, number])
-        up[:, number] = np.where(is_below, np.minimum(up[:, number], np.abs(low - at)), up[:, number])
-        is_within[:, number] |= ~is_above & ~is_below
-    is_near = (np.minimum(down, up) < MAX_GAP_IN) & ~is_within
-    return PartEnds(np.where(is_near, np.where(down < up, -1.0, 1.0), 0.0), is_within)
-
-
-def find_turns(steps: Floats, first: int) -> list[tuple[int, float]]:
-    """Return the turns from a step on: the node at which each ends, and by how much the robot turned, radians."""
-    turns, total = [], 0.0
-    for number in range(max(first, 0), len(steps)):
-        turn = float(steps[number, HEADING])
-        is_turning = abs(turn) > TURN_STEP_RAD
-        total += abs(turn) if is_turning else 0.0
-        # A robot that circles never ends its turn.
-        if total > MAX_TURN_RAD or (total and (not is_turning or number == len(steps) - 1)):
-            turns.append((number + int(is_turning), total))
-            total = 0.0
-    return [(node, total) for node, total in turns if total > MIN_TURN_RAD]
-
-
-def align_heading(estimate: MapEstimate, first_node: int, noise: OdometryNoise) -> None:
-    """Rotate what follows each turn since a node to the heading that explains its echoes best.
-
-    Each heading is rated by the cost of the echoes since the turn and by the odometry; the best one and the present
-    one are both optimized, and the cheaper is the result.
-    """
-    problem, state = estimate.problem, estimate.state
-    if not state.features:
-        return
-    count = len(state.poses)
-    for node, turn in find_turns(problem.trajectory.steps[: count - 1], first_node):
-        std = process_variance(0.0, turn, noise)[1] ** 0.5
-        echoes = estimate.echoes(node)
-        if len(echoes) < 8:
-            continue
-        # All headings at once.
-        sensors = _turned_sensors(estimate, node, echoes, HEADINGS * std)
-        _, cost = assign(estimate, np.tile(echoes, len(HEADINGS)), sensors)
-        costs = cost.reshape(len(HEADINGS), -1).sum(axis=1) + np.square(HEADINGS)
-        best = int(np.argmin(costs))
-        present = len(HEADINGS) // 2
-        if costs[best] > costs[present] - 2.0:
-            continue
-        # Both, optimized: the one that is cheaper then.
-        other = estimate.copy()
-        other.state = replace(other.state, poses=_turned(other.state.poses, node, HEADINGS[best] * std))
-        for candidate in (other, estimate):
-            candidate.associate(max(first_node, node - 1))
-            candidate.optimize()
-        if other.cost < estimate.cost:
-            estimate.replace_by(other)
-
-
-def track(estimate: MapEstimate, trajectory: Trajectory, poses: Floats, noise: OdometryNoise) -> MapEstimate:
-    """Return the poses of a stretch of a drive in a map that stays as it is.
-
-    Parameters
-    ----------
-    estimate
-        The map.
-    trajectory
-        The stretch.
-    poses
-        (k, 3) known poses of its first nodes, of which the first one stays; the others follow by the odometry.
-    noise
-        Random errors of the odometry.
-    """
-    problem = estimate.problem.with_trajectory(trajectory, has_fixed_map=True)
-    nothing = Assignment(np.full(len(trajectory.node), NO_FEATURE, dtype=np.intp))
-    state = replace(estimate.state, poses=poses)
-    found = MapEstimate(problem, state, nothing, estimate.extents, estimate.runs, estimate.sides)
-    found.extend(len(trajectory))
-    if state.features and len(trajectory) > 1:
-        align_heading(found, len(trajectory) - ALIGN_NODES, noise)
-        found.associate()
-        found.optimize(2)
-    return found
-
-
-def _turned_sensors(estimate: MapEstimate, node: int, echoes: Indices, angles_rad: Floats) -> Sensors:
-    """Return the sonars (k e,) at echoes from a node on, with what follows it rotated about it by each of k angles."""
-    state = estimate.state
-    sensors = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes)
-    angles = np.repeat(angles_rad, len(echoes))
-    count, centre = len(angles_rad), state.poses[node, :2]
-    return Sensors(
-        centre + rotate(np.tile(sensors.face - centre, (count, 1)), angles),
-        rotate(np.tile(sensors.arm, (count, 1)), angles),
-        np.tile(sensors.axis, count) + angles, np.tile(sensors.range_in, count),
-    )  # fmt: skip
-
-
-def _turned(poses: Floats, node: int, angle_rad: float) -> Floats:
-    """Return the trajectory with all poses from a node on rotated about it."""
-    turned = poses.copy()
-    turned[node:, :2] = poses[node, :2] + rotate(
-        poses[node:, :2] - poses[node, :2], np.full(len(poses) - node, angle_rad)
-    )
-    turned[node:, HEADING] += angle_rad
-    return turned
-
-
-# Weights of the ranges of a finished map.
-
-HARMONICS: Final = np.arange(1, 6)
-"""Terms of the sum: with the noise of a range of 6 in, 0.06 in and more, later ones are below 1 % of the variance."""
-MAX_DITHER: Final = 0.4
-"""Noise in steps from which rounding errors are independent: the first term is 4 % of the variance."""
-POINT_WEIGHT: Final = 0.2
-"""Of the ranges of points where walls have surfaces: posts are none, and their ranges err alike from nearby places."""
-MIN_STEP_IN: Final = 1e-6
-LIMIT_STDS: Final = 2.5
-"""Expected ranges this much of the noise above the lower limit have readings on both sides of them."""
-MAX_TANGENT: Final = 5.0
-"""Of 79 degrees: rays that are more slanted belong to no wall."""
-
-
-def rounding_covariance(apart: Floats, variance: Floats) -> Floats:
-    """Return the covariance of the rounding errors of two readings, in steps squared.
-
-    Parameters
-    ----------
-    apart
-        (...) difference of their ranges before the noise, in steps.
-    variance
-        (...) mean of the variances of their noise, in steps squared.
-    """
-    total: Floats = sum(
-        (
-            np.cos(2.0 * np.pi * k * apart) * np.exp(-4.0 * np.pi**2 * k * k * variance) / (2.0 * np.pi**2 * k * k)
-            for k in HARMONICS.tolist()
-        ),
-        start=np.zeros(np.broadcast_shapes(np.shape(apart), np.shape(variance))),
-    )
-    return total
-
-
-def weigh_ranges(estimate: MapEstimate, sonar: RangeNoise) -> None:
-    """Set the standard deviations of the explained ranges, and how much they count, by the map."""
-    trajectory, feature = estimate.problem.trajectory, estimate.assignment.feature
-    echoes = np.flatnonzero((feature != NO_FEATURE) & (trajectory.node < len(estimate.state.poses)))
-    sensors, prediction = estimate.problem.predict(estimate.state, estimate.assignment, echoes)
-    readings, step = trajectory.readings_in[echoes], trajectory.step_in
-    predicted = prediction.range_in + readings - sensors.range_in
-    # 1. Noise at the range that the map predicts.
-    noise_var = trajectory.noise_var_in2.copy()
-    noise_var[echoes] = sonar.variance(predicted) - sonar.place_var_in2 - sonar.rounding_var_in2
-    # 2. The heading's part of a ray's variance, which is that of 45 degrees where nothing explains it.
-    heading_var = trajectory.heading_var_in2.copy()
-    if estimate.problem.rays:
-        slant = np.tan(sensors.axis - estimate.state.walls[feature[echoes], 0])
-        heading_var[echoes] *= np.square(np.clip(slant, -MAX_TANGENT, MAX_TANGENT) * predicted / readings)
-    variance = noise_var + trajectory.other_var_in2 + heading_var
-    # 3. Rounding errors, by the readings that the map predicts. Those whose noise is large are independent.
-    weight = np.ones(len(feature))
-    dither = noise_var[echoes] / max(step, MIN_STEP_IN) ** 2
-    for number in range(estimate.state.features if step else 0):
-        rows = np.flatnonzero((feature[echoes] == number) & (dither < MAX_DITHER**2))
-        apart = (predicted[rows, None] - predicted[rows]) / step
-        covariance = step**2 * rounding_covariance(apart, 0.5 * (dither[rows, None] + dither[rows]))
-        np.fill_diagonal(covariance, 0.0)
-        own = variance[echoes[rows]]
-        weight[echoes[rows]] = own / (own + np.maximum(covariance.sum(axis=1), 0.0))
-    if estimate.problem.reflection.surface_std_in:
-        weight[echoes[feature[echoes] >= len(estimate.state.walls)]] *= POINT_WEIGHT
-    # 4. What is expected near the lower limit.
-    lowest_in = sonar.lowest_in + 0.5 * step + LIMIT_STDS * np.sqrt(noise_var[echoes])
-    weight[echoes[predicted < lowest_in]] = 0.0
-    estimate.problem = estimate.problem.with_trajectory(replace(trajectory, std_in=np.sqrt(variance), weight=weight))

@@ -44,10 +44,12 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, chi_square_quantile, wrap_angle
-from localization.mapping.association import POINT_WEIGHT, MapEstimate, Mask, segments_of
+from localization.mapping.association import MapEstimate
 from localization.mapping.measurements import Indices, Trajectory, rotate
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, WALL, Assignment, MapProblem, MapState
+from localization.mapping.reflectors import Mask, segments_of
 from localization.mapping.solver import NormalEquations
+from localization.mapping.weights import POINT_WEIGHT
 
 RISK: Final = 0.001
 """Probability with which a sound drive fails the test of the whole, or one of those of all parts."""

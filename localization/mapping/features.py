@@ -43,16 +43,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import (
-    OFF_CONE_RAD,
-    MapEstimate,
-    Mask,
-    along_and_across,
-    assign,
-    is_blocked,
-    segments_of,
-    sides_of,
-)
+from localization.mapping.association import MapEstimate, assign
 from localization.mapping.consistency import check_parts
 from localization.mapping.measurements import Indices, rotate
 from localization.mapping.problem import (
@@ -66,6 +57,7 @@ from localization.mapping.problem import (
     robust_weight,
     sensors_at,
 )
+from localization.mapping.reflectors import OFF_CONE_RAD, Mask, along_and_across, is_blocked, segments_of, sides_of
 
 ANGLE_CELL_RAD: Final = radians(2.0)
 OFFSET_CELL_IN: Final = 1.5

@@ -23,8 +23,9 @@ import numpy as np
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.surface import SPOT_STD_IN
-from localization.mapping.association import LAG_NODES, MapEstimate, align_heading, track, weigh_ranges
+from localization.mapping.association import MapEstimate
 from localization.mapping.features import close_loops, find_births
+from localization.mapping.headings import LAG_NODES, align_heading, track
 from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
 from localization.mapping.merging import merge, open_faces, split, split_surfaces
 from localization.mapping.problem import PARAMETER_STDS, PLANES, MapProblem, Reflection
@@ -49,6 +50,7 @@ from localization.mapping.revision import (
     turn_together,
     turn_walls,
 )
+from localization.mapping.weights import weigh_ranges
 
 NODES_PER_ROUND: Final = 16
 OTHER_NODES, LEVEL_NODES = 12, 24
@@ -167,6 +169,10 @@ class MapLearner:
             self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
+        self._complete()
+
+    def _complete(self) -> None:
+        """Divide walls with levels at gaps, close the ends of walls, and leave out what is beyond them."""
         split_surfaces(self.estimate)
         close_wall_ends(self.estimate)
         trim_surfaces(self.estimate)

@@ -24,8 +24,9 @@ from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
-from localization.mapping.association import LAG_NODES, MapEstimate, align_heading, segments_of, sides_of, track
+from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import is_consistent
+from localization.mapping.headings import LAG_NODES, align_heading, track
 from localization.mapping.learn import NODES_PER_ROUND, WINDOW_NODES, MapLearner, reflection_of, revise, update_features
 from localization.mapping.measurements import (
     READINGS_PER_NODE,
@@ -38,6 +39,7 @@ from localization.mapping.measurements import (
     relative_pose,
 )
 from localization.mapping.problem import NO_FEATURE, Assignment, MapProblem
+from localization.mapping.reflectors import segments_of, sides_of
 from nclient.state import RobotState
 
 WHOLE_ROUNDS, WHOLE_NODES = 4, 600

@@ -21,16 +21,10 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.association import (
-    MIN_THICKNESS_IN,
-    SIDED,
-    MapEstimate,
-    residual_matrix,
-    segments_of,
-    sides_of,
-)
+from localization.mapping.association import MIN_THICKNESS_IN, SIDED, MapEstimate
 from localization.mapping.features import MIN_BASE_IN, MIN_DIFFERENCE
 from localization.mapping.problem import NO_FEATURE, WALL, sensors_at
+from localization.mapping.reflectors import residual_matrix, segments_of, sides_of
 from worlds.geometry import nearest_points_of_pairs
 
 MERGE_RAD: Final = radians(20.0)

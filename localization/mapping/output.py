@@ -24,7 +24,7 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.live.run import GroundTruth, Publisher
-from localization.mapping.association import MapEstimate, crossings, segments_of
+from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import (
     LATE,
     LATE_MAP,
@@ -42,6 +42,7 @@ from localization.mapping.live import LiveMapper
 from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate
 from localization.mapping.merging import find_undecided
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
+from localization.mapping.reflectors import crossings, segments_of
 from localization.mapping.spans import SAME_CORNER_IN
 from localization.mapping.survey import SurveyStep
 from localization.mapping.walls import (

@@ -29,16 +29,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.mapping.association import (
-    PENALTY,
-    MapEstimate,
-    Mask,
-    along_and_across,
-    assign,
-    is_blocked,
-    residual_matrix,
-    segments_of,
-)
+from localization.mapping.association import PENALTY, MapEstimate, assign
 from localization.mapping.consistency import late_scores
 from localization.mapping.measurements import Indices
 from localization.mapping.merging import JOIN_STEPS, MERGE_GAP_IN
@@ -53,6 +44,7 @@ from localization.mapping.problem import (
     Levels,
     robust_cost,
 )
+from localization.mapping.reflectors import Mask, along_and_across, is_blocked, residual_matrix, segments_of
 from localization.mapping.spans import (
     DEEP_SIGMAS,
     MAX_SPAN_IN,
@@ -592,10 +584,10 @@ def _turn_if_cheaper(estimate: MapEstimate, wall: int, by_rad: float) -> bool:
     for _ in range(2):
         trial.optimize(JOIN_STEPS)
         trial.associate()
-    is_cheaper = trial.cost < estimate.cost
-    if is_cheaper:
+    is_turned = trial.cost < estimate.cost
+    if is_turned:
         estimate.replace_by(trial)
-    return is_cheaper
+    return is_turned
 
 
 def _turned_wall(estimate: MapEstimate, wall: int, by_rad: float) -> MapEstimate:

@@ -19,14 +19,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.association import (
-    ALONE_SIGMAS,
+from localization.mapping.association import ALONE_SIGMAS, MAX_THICKNESS_IN, MIN_THICKNESS_IN, OPPOSITE_IN, MapEstimate
+from localization.mapping.measurements import Indices
+from localization.mapping.problem import Sensors, sensors_at
+from localization.mapping.reflectors import (
     BLOCKED_IN,
     MAX_GAP_IN,
-    MAX_THICKNESS_IN,
-    MIN_THICKNESS_IN,
-    OPPOSITE_IN,
-    MapEstimate,
     Mask,
     along_and_across,
     crossings,
@@ -35,8 +33,6 @@ from localization.mapping.association import (
     parts_of,
     residual_matrix,
 )
-from localization.mapping.measurements import Indices
-from localization.mapping.problem import Sensors, sensors_at
 
 MIN_CROSSINGS: Final = 2
 """A single path across a wall may be a mistaken echo."""

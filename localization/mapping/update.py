@@ -21,10 +21,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import HEADING, Floats, wrap_angle
-from localization.mapping.association import MapEstimate, Mask
+from localization.mapping.association import MapEstimate
 from localization.mapping.measurements import compose, rotate
 from localization.mapping.output import MapRefused, describe
 from localization.mapping.problem import robust_weight
+from localization.mapping.reflectors import Mask
 from localization.mapping.spans import MIN_CORNER_RAD
 from localization.mapping.walls import SMALL_GAP_IN, Piece, crossed_at, extract_walls, free_paths
 from worlds.geometry import lengths, nearest_points

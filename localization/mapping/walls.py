@@ -24,19 +24,11 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
 from localization.filters.surface import SPOT_STD_IN
-from localization.mapping.association import (
-    ALONE_SIGMAS,
-    BLOCKED_IN,
-    MAX_DOOR_IN,
-    MAX_GAP_IN,
-    MapEstimate,
-    Mask,
-    crossings,
-    residual_matrix,
-)
+from localization.mapping.association import ALONE_SIGMAS, MAX_DOOR_IN, MapEstimate
 from localization.mapping.consistency import repeated_ranges
 from localization.mapping.measurements import Indices
 from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, NO_LEVEL, POINT, ROBUST_LIMIT, WALL, sensors_at
+from localization.mapping.reflectors import BLOCKED_IN, MAX_GAP_IN, Mask, crossings, residual_matrix
 from localization.mapping.spans import (
     MIN_CORNER_RAD,
     MIN_CROSSINGS,

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import POINT_WEIGHT, MapEstimate
+from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import (
     LATE_STD_IN,
     RETURN_RISK,
@@ -32,6 +32,7 @@ from localization.mapping.measurements import Indices, build_trajectory
 from localization.mapping.merging import find_undecided
 from localization.mapping.output import describe
 from localization.mapping.problem import NO_FEATURE, MapProblem, Reflection
+from localization.mapping.weights import POINT_WEIGHT
 from tests.localization.mapping.drives import drive
 from tests.localization.mapping.test_problem import dense, difference_jacobian, perturbed, trajectory
 

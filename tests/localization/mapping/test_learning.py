@@ -16,13 +16,15 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.mapping import walls
-from localization.mapping.association import MapEstimate, is_blocked, residual_matrix, segments_of, track
+from localization.mapping.association import MapEstimate
 from localization.mapping.features import FRONT, FreeEchoes, _decide, _fit
+from localization.mapping.headings import track
 from localization.mapping.learn import MapLearner, _cost_by_readings, learn_map
 from localization.mapping.measurements import DriveLog
 from localization.mapping.merging import _may_be_faces, _merged, _thickness, merge, open_faces, split
 from localization.mapping.output import LearnedMap, describe
 from localization.mapping.problem import NO_FEATURE, MapProblem, Sensors
+from localization.mapping.reflectors import is_blocked, residual_matrix, segments_of
 from localization.mapping.revision import drop_hidden, drop_unmeasured
 from localization.mapping.walls import end_derivative, extract_walls
 from nclient.cli import main

@@ -9,10 +9,11 @@ import pytest
 
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.association import MapEstimate, rounding_covariance, weigh_ranges
+from localization.mapping.association import MapEstimate
 from localization.mapping.learn import learn_map
 from localization.mapping.problem import NO_FEATURE, sensors_at
 from localization.mapping.walls import covariance_of
+from localization.mapping.weights import rounding_covariance, weigh_ranges
 from tests.localization.mapping.drives import drive
 
 

@@ -14,18 +14,7 @@ from localization.filters.belief import Floats
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association
-from localization.mapping.association import (
-    MapEstimate,
-    Mask,
-    _hidden_points,
-    _inner_feet,
-    _runs,
-    assign,
-    ends_of_parts,
-    growth_of,
-    parts_of,
-    sides_of,
-)
+from localization.mapping.association import MapEstimate, _hidden_points, _inner_feet, _runs, assign
 from localization.mapping.consistency import compare_returns, late_scores
 from localization.mapping.live import LiveMapper, walls_and_posts
 from localization.mapping.measurements import DriveCollector, rotate
@@ -44,6 +33,7 @@ from localization.mapping.problem import (
     robust_weight,
     sensors_at,
 )
+from localization.mapping.reflectors import Mask, ends_of_parts, growth_of, parts_of, sides_of
 from localization.mapping.revision import part_late_points, part_points
 from localization.mapping.surfaces import divided
 

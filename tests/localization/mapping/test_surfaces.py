@@ -12,7 +12,17 @@ from scipy.stats import multivariate_normal
 from localization.filters.belief import Floats
 from localization.mapping import revision
 from localization.mapping.association import MapEstimate
-from localization.mapping.problem import LEVEL_CELL_IN, NO_FEATURE, NO_LEVEL, Levels, MapProblem, Reflection, sensors_at
+from localization.mapping.problem import (
+    LEVEL_CELL_IN,
+    NO_FEATURE,
+    NO_LEVEL,
+    Levels,
+    MapProblem,
+    MapState,
+    Reflection,
+    sensors_at,
+)
+from localization.mapping.reflectors import is_blocked, residual_matrix, surface_segments
 from localization.mapping.revision import trim_surfaces
 from localization.mapping.surfaces import divided, gate_variances, stretches
 from localization.mapping.walls import extract_walls
@@ -97,6 +107,71 @@ def test_levels_are_divided_where_the_echoes_of_a_wall_step(estimate: MapEstimat
     unknown = divided(stepped.problem, replace(stepped.state, levels=moved), stepped.assignment,
                       np.arange(len(levels)) != own.start)  # fmt: skip
     np.testing.assert_allclose(unknown.value_in[own], found.value_in[own], atol=0.01)
+
+
+def test_surface_of_a_part_has_the_levels_of_its_stretches_and_the_steps_between_them() -> None:
+    # A wall at x = 10 whose direction is +y, with cells from y = -4 to 20 and steps at 4 and 12; another one has none.
+    levels = Levels(
+        np.zeros(6, dtype=np.intp), np.arange(-1, 5), np.array((1.0, 1.0, -6.0, -6.0, 0.5, 0.5)), np.zeros(6),
+        np.array((False, False, True, False, True, False)),
+    )  # fmt: skip
+    walls = np.array(((0.0, 10.0), (0.5 * np.pi, 7.0)))
+    state = MapState(np.zeros((1, 3)), walls, np.empty((0, 2)), np.zeros(4), levels)
+    found = surface_segments(state, np.array(((1, -3.0, 5.0), (0, -10.0, 8.0), (0, 9.0, 10.0))))
+    expected = {
+        # The wall at y = 7 runs to -x.
+        (3.0, 7.0, -5.0, 7.0),
+        # Beyond its cells a wall goes on at the last level; a step is a segment across it.
+        (11.0, -10.0, 11.0, 4.0), (11.0, 4.0, 4.0, 4.0), (4.0, 4.0, 4.0, 8.0),
+        # A part within one level.
+        (4.0, 9.0, 4.0, 10.0),
+    }  # fmt: skip
+    assert {tuple(row) for row in found.round(9).tolist()} == expected
+    assert surface_segments(state, np.empty((0, 3))).shape == (0, 4)
+
+
+def test_a_post_on_a_stretch_that_stands_back_is_seen(estimate: MapEstimate) -> None:
+    """A line between levels 7 in apart would hide what is on the one that is farther off."""
+    made = replace(estimate, problem=MapProblem(estimate.problem.trajectory, 16, reflection=Reflection(0.2, 1.75)))
+    made.associate()
+    wall, side = 0, estimate.sides[0]
+    own = made.state.levels.of(wall)
+    angle, offset = made.state.walls[wall]
+    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    at = made.extents[wall].mean()
+    post = at * along + (offset - 7.0 * side) * normal
+    face = at * along + (offset + 30.0 * side) * normal
+    # 1. Behind the surface.
+    assert is_blocked(face[None], post[None], made.blocking, made.blocked_in)[0]
+    # 2. On it, where the surface stands back by as much.
+    cell = made.state.levels.cell[own]
+    back = np.abs(LEVEL_CELL_IN * (cell + 0.5) - at) < 12.0
+    values, is_new = made.state.levels.value_in.copy(), made.state.levels.is_new.copy()
+    values[own] -= 7.0 * side * back
+    is_new[own] = np.diff(back, prepend=back[0])
+    made.state = replace(made.state, levels=replace(made.state.levels, value_in=values, is_new=is_new))
+    assert not is_blocked(face[None], post[None], made.blocking, made.blocked_in)[0]
+
+
+@pytest.mark.parametrize(("level_in", "is_of_it"), [(6.0, True), (-6.0, True), (6.3, False), (-6.3, False)])
+def test_a_level_far_from_its_wall_is_of_something_else(
+    estimate: MapEstimate, level_in: float, is_of_it: bool
+) -> None:
+    """The limit is 3.5 standard deviations of 1.75 in; the ranges are those of the level."""
+    made = replace(estimate, problem=MapProblem(estimate.problem.trajectory, 16, reflection=Reflection(0.2, 1.75)))
+    made.associate()
+    echoes, own = made.echoes_of(0), made.state.levels.of(0)
+    level = np.full(own.stop - own.start, level_in)
+    values = made.state.levels.value_in.copy()
+    trajectory = made.problem.trajectory
+    closer = made.sides[0] * (level[0] - values[made.assignment.level[echoes]])
+    values[own] = level
+    readings = trajectory.readings_in.copy()
+    readings[echoes] -= closer
+    made.problem = made.problem.with_trajectory(replace(trajectory, readings_in=readings))
+    made.state = replace(made.state, levels=replace(made.state.levels, value_in=values))
+    residual, _, _ = residual_matrix(made.problem, made.state, made.extents, echoes)
+    assert np.isfinite(residual[:, 0]).mean() == pytest.approx(float(is_of_it), abs=0.02)
 
 
 def test_gate_is_as_wide_as_a_level_may_have_changed(estimate: MapEstimate) -> None:

@@ -14,13 +14,14 @@ from localization.filters.belief import Floats, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association, output, revision, spans, walls
-from localization.mapping.association import MapEstimate, residual_matrix, segments_of
+from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rotate
 from localization.mapping.merging import find_undecided, split_surfaces
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
+from localization.mapping.reflectors import MAX_GAP_IN, residual_matrix, segments_of
 from localization.mapping.revision import close_wall_ends, drop_corner_cuts, join_points, prune, swallow
 from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
 from localization.mapping.surfaces import costs_of_turns
@@ -155,7 +156,7 @@ def test_span_along_a_surface_belongs_to_what_was_measured_there() -> None:
 def test_span_is_a_wall_if_sound_is_stopped_all_along(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     (span,) = (span for span in uncrossed_spans(opened, free_paths(opened)) if {span.one, span.other} == {4, 5})
     # Between the outermost sonars and the ends, and between neighbours, less than a robot needs.
-    assert 4.0 <= span.gap_in <= association.MAX_GAP_IN
+    assert 4.0 <= span.gap_in <= MAX_GAP_IN
     monkeypatch.setattr(spans, "MAX_GAP_IN", 0.9 * span.gap_in)
     assert not span.is_wall
 
