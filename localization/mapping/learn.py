@@ -23,6 +23,7 @@ import numpy as np
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.surface import SPOT_STD_IN
+from localization.mapping.alternatives import adopt_walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.features import close_loops, find_births
 from localization.mapping.headings import LAG_NODES, align_heading, track
@@ -161,6 +162,7 @@ class MapLearner:
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()
         turn_walls(self.estimate)
+        square(self.estimate)
         drop_slanted(self.estimate)
         # Walls that were two by the weights of before.
         if merge(self.estimate):
@@ -169,6 +171,17 @@ class MapLearner:
             self.estimate.associate()
         if drop_unmeasured(self.estimate):
             tie_points(self.estimate)
+        self._complete()
+
+    def adopt(self, other: MapLearner) -> None:
+        """Take walls of another map of the drive, of walls with levels, where this one costs less with them."""
+        for estimate in (self.estimate, other.estimate):
+            # With the echoes that `trim_surfaces` has left out.
+            estimate.associate()
+        if adopt_walls(self.estimate, other.estimate) + square(self.estimate):
+            tie_points(self.estimate)
+            self.estimate.optimize(LAST_STEPS)
+            self.estimate.associate()
         self._complete()
 
     def _complete(self) -> None:
@@ -253,7 +266,9 @@ def learn_log(
     if not has_levels and not is_poor:
         return first
     second = learned(LEVEL_NODES if has_levels else OTHER_NODES)
-    best = min((first, second), key=_cost_by_readings)
+    best, other = sorted((first, second), key=_cost_by_readings)
+    if has_levels:
+        best.adopt(other)
     turn_together(best.estimate)
     return best
 

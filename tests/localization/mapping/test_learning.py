@@ -526,6 +526,7 @@ class Learner:
     """A learner whose map costs less the more nodes it takes at once, and misfits as stated."""
 
     made: ClassVar[list[int]] = []
+    adopted: ClassVar[list[tuple[float, float]]] = []
     misfit: ClassVar[float] = 0.5
     is_complete = False
 
@@ -538,6 +539,9 @@ class Learner:
 
     def finish(self) -> None:
         assert self.is_complete
+
+    def adopt(self, other: Learner) -> None:
+        self.adopted.append((self.estimate.cost, other.estimate.cost))
 
 
 @pytest.mark.parametrize(("sonar", "roughness_in", "misfit", "made", "best"), [
@@ -557,10 +561,12 @@ def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     turned: list[float] = []
     monkeypatch.setattr("localization.mapping.learn.turn_together", lambda estimate: turned.append(estimate.cost))
     Learner.made.clear()
+    Learner.adopted.clear()
     assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best
     assert Learner.made == made
-    # Of two maps the chosen one alone.
+    # Of two maps the chosen one alone. It takes walls of the other one if it is of walls with levels.
     assert turned == [1000.0 / best] * (len(made) - 1)
+    assert Learner.adopted == ([(1000.0 / 24, 1000.0 / 16)] if made == [16, 24] else [])
 
 
 def test_maps_are_compared_with_the_weights_of_readings_alone(estimate: MapEstimate) -> None:
