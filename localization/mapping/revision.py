@@ -31,6 +31,7 @@ import numpy as np
 from localization.filters.belief import Floats
 from localization.mapping.association import PENALTY, MapEstimate, assign
 from localization.mapping.consistency import late_scores
+from localization.mapping.features import MIN_DIFFERENCE
 from localization.mapping.measurements import Indices
 from localization.mapping.merging import JOIN_STEPS, MERGE_GAP_IN
 from localization.mapping.problem import (
@@ -508,16 +509,18 @@ def absorb_points(estimate: MapEstimate) -> int:
 
 
 def square(estimate: MapEstimate) -> int:
-    """Turn walls with levels to the axes of the building where the total cost falls, and return their number.
+    """Turn walls with levels to the axes of the building where that costs hardly more, and return their number.
 
-    What is off by more than its robust limit is hardly pulled to a right angle, and levels make up for the slope.
+    What is off by more than its robust limit is hardly pulled to a right angle, and levels make up for the slope. So
+    whether a wall of two feet has a slope or a few levels is seldom decided by its echoes: it stays slanted only if
+    that saves MIN_DIFFERENCE.
     """
     turned = 0
     for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
         off = _off_axes(estimate)
         if not len(off) or not RIGHT_ANGLE_LIMIT_RAD < abs(off[wall]) < MAX_TURN_RAD:
             continue
-        turned += _turn_if_cheaper(estimate, wall, -float(off[wall]))
+        turned += _turn_if_cheaper(estimate, wall, -float(off[wall]), MIN_DIFFERENCE)
     return turned
 
 
@@ -578,13 +581,13 @@ def _costs_of_turns(estimate: MapEstimate, wall: int, turns_rad: Floats) -> Floa
     return costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, turns_rad)
 
 
-def _turn_if_cheaper(estimate: MapEstimate, wall: int, by_rad: float) -> bool:
-    """Turn a wall where the total cost falls after optimizing; return whether it did."""
+def _turn_if_cheaper(estimate: MapEstimate, wall: int, by_rad: float, allowed: float = 0.0) -> bool:
+    """Turn a wall if the total cost after optimizing rises by less than is allowed; return whether it was turned."""
     trial = _turned_wall(estimate, wall, by_rad)
     for _ in range(2):
         trial.optimize(JOIN_STEPS)
         trial.associate()
-    is_turned = trial.cost < estimate.cost
+    is_turned = trial.cost < estimate.cost + allowed
     if is_turned:
         estimate.replace_by(trial)
     return is_turned

@@ -16,6 +16,7 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association, output, revision, spans, walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
+from localization.mapping.features import MIN_DIFFERENCE
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import rotate
 from localization.mapping.merging import find_undecided, split_surfaces
@@ -659,6 +660,28 @@ def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
     assert (abs(off) < 0.5) == (turned == 1 or turn_deg < 1.0)
     # Planes have no levels that could make up for it.
     assert revision.square(estimate) == 0
+
+
+def test_a_slope_that_saves_little_is_no_slope(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = with_levels(estimate)
+    found.optimize(3)
+    # How much more the map costs after a turn by 1 degree, with levels that make up for it.
+    turned = found.copy()
+    assert revision._turn_if_cheaper(turned, 1, radians(1.0), allowed=np.inf)
+    more = turned.cost - found.cost
+    assert not revision._turn_if_cheaper(found.copy(), 1, radians(1.0), allowed=more - 0.1)
+    assert revision._turn_if_cheaper(found.copy(), 1, radians(1.0), allowed=more + 0.1)
+    # Of walls off the axes so much is allowed, each by the angle that it is off.
+    tried: list[tuple[int, float, float]] = []
+
+    def keep(_: MapEstimate, wall: int, by_rad: float, allowed: float) -> bool:
+        tried.append((wall, by_rad, allowed))
+        return True
+
+    monkeypatch.setattr(revision, "_turn_if_cheaper", keep)
+    monkeypatch.setattr(revision, "_off_axes", lambda _: np.radians((0.0, 5.0, -14.0, 21.0)))
+    assert revision.square(found) == 2
+    assert tried == [(1, -radians(5.0), MIN_DIFFERENCE), (2, radians(14.0), MIN_DIFFERENCE)]
 
 
 @pytest.mark.parametrize("turn_deg", [-4.0, 3.0])
