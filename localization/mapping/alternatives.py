@@ -1,10 +1,10 @@
-"""Two maps of one drive: walls of the other one are tried in the better one.
+"""Two maps of one drive: walls of the other one are tried in the cheaper one.
 
 A drive of walls with levels is learned twice, in rounds of another size, and the cheaper map is taken (learn.py). It
-may still lack a wall that the other one has, or have it in a worse direction, since the early mistakes of the two
-differ. Both are of the same echoes, so a wall of the other map is known by its echoes. Each is tried in place of what
-explains most of its echoes by the same ones, and stays where the total cost falls: an exchange of parts between
-solutions, as in genetic algorithms, of which each is a local optimum.
+may lack a wall that the other map has, or have it in a worse direction, since the early mistakes of the two differ.
+Both maps are of the same echoes, so a wall of the other one is known by its echoes. Each of these walls is tried in
+place of the features that explain most of their own echoes by the same ones, and is taken if the total cost falls by
+MIN_DIFFERENCE. Genetic algorithms exchange parts between solutions in this manner.
 
 References
 ----------
@@ -26,11 +26,13 @@ from localization.mapping.measurements import Indices, rotate
 SAME_FRACTION: Final = 0.5
 """A wall or point is replaced if more of its echoes are those of the other map's wall."""
 EXCHANGE_STEPS: Final = 6
+"""Steps of the optimizer before its echoes may leave the wall."""
 MIN_ECHOES: Final = 10
+"""Of a wall that is tried: one of fewer could hardly lower the cost by what a wall must save."""
 
 
 def adopt_walls(estimate: MapEstimate, other: MapEstimate) -> int:
-    """Take walls of another map of the same echoes where the total cost falls, and return their number."""
+    """Take walls of another map of the same echoes where the cost falls by MIN_DIFFERENCE, and return their number."""
     adopted = 0
     for wall in range(len(other.state.walls)):
         echoes = other.echoes_of(wall)
@@ -44,7 +46,7 @@ def adopt_walls(estimate: MapEstimate, other: MapEstimate) -> int:
 
 
 def _with_wall_of(estimate: MapEstimate, other: MapEstimate, wall: int, echoes: Indices) -> MapEstimate:
-    """Return the map with a wall of another one and its echoes, in place of what has most of its own among these."""
+    """Return the map with a wall of another map and its echoes, in place of features that have most of theirs there."""
     trial = estimate.copy()
     # 1. What it replaces.
     for own in reversed(range(trial.state.features)):

@@ -5,10 +5,10 @@
         --> births from the unexplained echoes of the last 30 s --> associate --> optimize --> merge, prune
     at the end
         join what was not recognized; births from all echoes; open, part, join, merge, split, swallow, absorb, posts,
-        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls; drop
-        slanted walls that explain hardly anything; trim surfaces
-    once more in rounds of another size, if the map is poor or walls have levels; turn all walls at right angles of the
-    cheaper map together (`learn_log`)
+        release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls and
+        square them; drop slanted walls that explain hardly anything; trim surfaces
+    once more in rounds of another size, if the map is poor or walls have levels; try walls of the other map in the
+    cheaper one (`alternatives.py`), and turn all of its walls at right angles together (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
 """
@@ -174,9 +174,9 @@ class MapLearner:
         self._complete()
 
     def adopt(self, other: MapLearner) -> None:
-        """Take walls of another map of the drive, of walls with levels, where this one costs less with them."""
+        """Take walls of another map of the drive where this one costs less with them; both of walls with levels."""
         for estimate in (self.estimate, other.estimate):
-            # With the echoes that `trim_surfaces` has left out.
+            # With the echoes that `trim_surfaces` has left out of either.
             estimate.associate()
         if adopt_walls(self.estimate, other.estimate) + square(self.estimate):
             tie_points(self.estimate)

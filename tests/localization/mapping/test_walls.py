@@ -640,7 +640,7 @@ def test_a_path_along_a_span_does_not_open_it(opened: MapEstimate) -> None:
 
 
 @pytest.mark.parametrize(("turn_deg", "turned"), [(4.0, 1), (0.5, 0), (20.0, 0)])
-def test_walls_with_levels_turn_to_the_axes_where_that_costs_less(
+def test_walls_with_levels_turn_to_the_axes_where_that_costs_hardly_more(
     estimate: MapEstimate, turn_deg: float, turned: int
 ) -> None:
     """A wall of a square room, turned with levels that make up for it; 0.5 degrees are left to the optimizer."""
@@ -667,21 +667,25 @@ def test_a_slope_that_saves_little_is_no_slope(estimate: MapEstimate, monkeypatc
     found.optimize(3)
     # How much more the map costs after a turn by 1 degree, with levels that make up for it.
     turned = found.copy()
-    assert revision._turn_if_cheaper(turned, 1, radians(1.0), allowed=np.inf)
+    assert revision._try_turn(turned, 1, radians(1.0), allowed=np.inf)
     more = turned.cost - found.cost
-    assert not revision._turn_if_cheaper(found.copy(), 1, radians(1.0), allowed=more - 0.1)
-    assert revision._turn_if_cheaper(found.copy(), 1, radians(1.0), allowed=more + 0.1)
-    # Of walls off the axes so much is allowed, each by the angle that it is off.
+    assert not revision._try_turn(found.copy(), 1, radians(1.0), allowed=more - 0.1)
+    assert revision._try_turn(found.copy(), 1, radians(1.0), allowed=more + 0.1)
+    # Of short walls off the axes so much is allowed; each is turned by the angle that it is off.
     tried: list[tuple[int, float, float]] = []
 
     def keep(_: MapEstimate, wall: int, by_rad: float, allowed: float) -> bool:
         tried.append((wall, by_rad, allowed))
         return True
 
-    monkeypatch.setattr(revision, "_turn_if_cheaper", keep)
+    monkeypatch.setattr(revision, "_try_turn", keep)
     monkeypatch.setattr(revision, "_off_axes", lambda _: np.radians((0.0, 5.0, -14.0, 21.0)))
     assert revision.square(found) == 2
-    assert tried == [(1, -radians(5.0), MIN_DIFFERENCE), (2, radians(14.0), MIN_DIFFERENCE)]
+    assert tried == [(1, -radians(5.0), 0.0), (2, radians(14.0), 0.0)]
+    found.extents = found.extents.copy()
+    found.extents[2] = 3.0, 42.9
+    assert revision.square(found) == 2
+    assert tried[2:] == [(1, -radians(5.0), 0.0), (2, radians(14.0), MIN_DIFFERENCE)]
 
 
 @pytest.mark.parametrize("turn_deg", [-4.0, 3.0])
