@@ -615,9 +615,8 @@ def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn:
     """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
     measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
     placed = (measurements.rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
-    line = np.array([wall.line for wall in found.walls])
-    beside = [lines_beside(walls, surfaces, placed[line == wall.line]) for wall in found.walls]
-    return np.array(beside).reshape(len(line), len(walls), 4)
+    beside = [lines_beside(walls, surfaces, part[None]) for part in placed]
+    return np.array(beside).reshape(len(placed), len(walls), 4)
 
 
 def _turn_between(wall: Floats, learned: Floats) -> float:

@@ -55,7 +55,6 @@ from localization.mapping.walls import (
     find_outlines,
     parameter_covariance,
     passed_walls,
-    surface_lines,
 )
 from nclient.errors import NomadError
 from worlds.geometry import lengths, nearest_points, polygon_segments
@@ -338,7 +337,7 @@ def describe(
     """
     walls = extract_walls(estimate)
     # 1. The frame: the origin stays, the axes turn to the longest walls.
-    turn = axes_rad(walls, surface_lines(estimate)[0])
+    turn = axes_rad(walls)
     pose = final_pose(estimate)
     path = np.concatenate((estimate.state.poses[:-1], pose[None]))
     path[:, :2] = rotate(path[:, :2], np.full(len(path), -turn))

@@ -1,6 +1,7 @@
 """Walls with ends from the lines of a map: pieces, corners, open ends, and how well each is known.
 
-    1. pieces     runs of reflecting spots along a line, cut at wide gaps and where sound or the robot has crossed it
+    1. pieces     runs of reflecting spots along a line, cut at wide gaps and where sound or the robot has crossed it;
+                  of a wall with levels each leads through the mean of its own levels
     2. corners    two pieces end where their lines meet, unless sound has crossed the part to be added
     3. ends       other ends move to a point on the line that the map has there, or stay open where the spots end;
                   walls between two points are found by what was not measured between them (spans.py)
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 from math import radians
 from typing import Final
 
@@ -70,6 +71,8 @@ SAME_START_IN, SAME_END_IN = 12.0, 6.0
 other walls, again and again from one place, and its range may fit a corner far behind."""
 OUTSIDE: Final = 0.9
 """Least fraction of the sonars that measured a side of a box which were outside."""
+WHOLE: Final = (-np.inf, np.inf)
+"""The part of a wall that is all of it."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MAX_STD_IN: Final = 0.5
@@ -87,7 +90,7 @@ class Piece:
     Attributes
     ----------
     line
-        Number of its line in the map.
+        Number of the wall of the map that it is, or is a part of.
     low, high
         Coordinates along the line of the outermost reflecting spots, or of the points of a span (`Span`).
     ends
@@ -182,11 +185,24 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A line of the map: unit normal, direction, offset, and where paths have crossed it."""
+    """A line of the map.
+
+    Attributes
+    ----------
+    normal, along
+        (2,) unit normal and direction.
+    offset
+        Of the line from the origin along the normal, inches.
+    by_levels
+        (l,) its derivative by the levels of all walls.
+    crossed
+        Coordinates along the line where paths have crossed it.
+    """
 
     normal: Floats
     along: Floats
     offset: float
+    by_levels: Floats
     crossed: Floats
 
     def at(self, coordinate: float) -> Floats:
@@ -207,33 +223,39 @@ class _Line:
 def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[Piece]:
     """Return the walls of a map, in the frame of its first pose, the longest first; their accuracy if it matters."""
     # 1. Lines, and the paths that have crossed them.
-    starts, ends = free_paths(estimate)
-    lines = []
-    for angle, offset in surface_lines(estimate)[0]:
-        normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-        lines.append(_Line(normal, along, float(offset), crossed_at(starts, ends, normal, along, float(offset))))
+    paths, weights = free_paths(estimate), level_weights(estimate)
+    lines = [_line(estimate, wall, weights, paths) for wall in range(len(estimate.state.walls))]
     # 2. Pieces.
     points = estimate.state.points
-    spans = [span for span in uncrossed_spans(estimate, (starts, ends)) if span.is_wall]
-    spans += find_wall_ends(estimate, (starts, ends))
+    spans = [span for span in uncrossed_spans(estimate, paths) if span.is_wall] + find_wall_ends(estimate, paths)
     runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(lines)]
     has_levels, near_in = estimate.surface_in > 0.0, POINT_ON_LINE_IN + estimate.surface_in
     owners = [_owner_of(span, lines, runs_of, near_in, has_levels) for span in spans] if lines else []
-    pieces = []
+    pieces, own_lines = list[Piece](), list[_Line]()
     for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
         own = [span for span, owner in zip(spans, owners, strict=True) if owner == number]
         for low, high, count in _with_spans(runs, line, own, near_in):
             within = [run for run in runs if run[0] < high and run[1] > low]
             spots = (min(run[0] for run in within), max(run[1] for run in within)) if within else (low, high)
-            places = np.array((line.at(low), line.at(high)))
+            own_lines.append(_line(estimate, number, weights, paths, spots) if has_levels and within else line)
+            places = np.array((own_lines[-1].at(low), own_lines[-1].at(high)))
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
     # 3. Ends.
-    pieces = _with_ends(pieces, lines, points, has_levels)
+    pieces, own_lines = _with_ends(pieces, own_lines, points, has_levels)
     if with_accuracy:
-        _add_accuracy(estimate, pieces, lines)
+        _add_accuracy(estimate, pieces, own_lines)
         _add_surfaces(estimate, pieces)
     return sorted(pieces, key=lambda piece: -piece.length_in)
+
+
+def _line(
+    estimate: MapEstimate, wall: int, weights: Floats, paths: tuple[Floats, Floats], part: tuple[float, float] = WHOLE
+) -> _Line:
+    """Return the line through the surface of a wall, or of a part of it, with the crossings of paths (p, 2)."""
+    (angle, offset), by_levels = surface_line(estimate, wall, weights, part)
+    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    return _Line(normal, along, float(offset), by_levels, crossed_at(*paths, normal, along, float(offset)))
 
 
 def free_paths(estimate: MapEstimate) -> tuple[Floats, Floats]:
@@ -315,29 +337,49 @@ def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
     return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
 
 
-def surface_lines(estimate: MapEstimate) -> tuple[Floats, Floats]:
-    """Return the lines (w, 2) of walls through their surfaces, and their derivatives (w, 2, 2 + l).
+def level_weights(estimate: MapEstimate) -> Floats:
+    """Return the weights (l,) of the levels in the mean of a surface, from their variances: 1 / (var + SPOT_STD_IN^2).
 
-    A wall with levels b_c keeps its direction, and its line is shifted to the mean of its levels:
-
-        angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c),   w_c = 1 / (var_c + SPOT_STD_IN^2)
-
-    A cell weighs by the variance of its level: one between two of the same level as much as these. The straight line
-    that fits the levels best would be slanted where a door stands back at one end, by degrees, and all walls beside it
-    would not meet at right angles. The derivatives are those by the wall's own angle and offset, and by all l levels,
-    with the weights as they are; of a plane those of the line itself.
+    A cell between two of the same level weighs as much as these; one in a gap, whose level is unknown, hardly.
     """
-    walls, levels = estimate.state.walls, estimate.state.levels
-    lines, by_unknowns = walls.copy(), np.zeros((len(walls), WALL, WALL + len(levels)))
-    by_unknowns[:, 0, 0] = by_unknowns[:, 1, 1] = 1.0
+    levels = estimate.state.levels
     variances = estimate.problem.level_variances(levels, estimate.assignment) if len(levels) else levels.var_in2
-    for number in np.unique(levels.wall).tolist():
-        own = levels.of(number)
-        weight = 1.0 / (variances[own] + SPOT_STD_IN**2)
-        weight /= weight.sum()
-        lines[number, 1] += weight @ levels.value_in[own]
-        by_unknowns[number, 1, WALL + own.start : WALL + own.stop] = weight
-    return lines, by_unknowns
+    weights: Floats = 1.0 / (variances + SPOT_STD_IN**2)
+    return weights
+
+
+def surface_line(
+    estimate: MapEstimate, wall: int, weights: Floats, part: tuple[float, float] = WHOLE
+) -> tuple[Floats, Floats]:
+    """Return the line (2,) through the surface of a wall, or of a part of it, and its derivative (l,) by all levels.
+
+    A wall with levels b_c keeps its direction, and its line is shifted to the mean of its levels, of weights w_c:
+
+        angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c)
+
+    The straight line that fits the levels best would be slanted where a door stands back at one end, by degrees, and
+    all walls beside it would not meet at right angles. A part has a line of its own: where another wall meets a wall
+    that stands back on one side of it by 4 in, the line through both parts would be that of neither. The derivative is
+    that of the offset, with the weights as they are; of a plane it is 0.
+
+    Parameters
+    ----------
+    estimate, wall
+        The map, and the number of the wall.
+    weights
+        (l,) of all levels (`level_weights`).
+    part
+        Coordinates along the wall between which the cells count; if it has none, all do.
+    """
+    line, levels = estimate.state.walls[wall].copy(), estimate.state.levels
+    by_levels, own = np.zeros(len(levels)), levels.of(wall)
+    at = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
+    is_within = (at > part[0]) & (at < part[1])
+    weight = np.where(is_within | (not is_within.any()), weights[own], 0.0)
+    if len(at):
+        by_levels[own] = weight / weight.sum()
+        line[1] += by_levels[own] @ levels.value_in[own]
+    return line, by_levels
 
 
 def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
@@ -438,8 +480,10 @@ class _Corner:
     other_end: int | None
 
 
-def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats, have_posts: bool = False) -> list[Piece]:
-    """Return pieces whose ends are moved to corners, points and other walls, without those that then have no length.
+def _with_ends(
+    pieces: list[Piece], lines: list[_Line], points: Floats, have_posts: bool = False
+) -> tuple[list[Piece], list[_Line]]:
+    """Return pieces with their ends at corners, points and other walls, and their lines, without those of no length.
 
     Both ends of a short piece across another wall move to where it crosses. It is no wall, and nothing ends at it.
     Where walls have posts, a point on the line before a corner is no end of it.
@@ -451,10 +495,13 @@ def _with_ends(pieces: list[Piece], lines: list[_Line], points: Floats, have_pos
         _move_ends_to_points(found, lines, points)
         _close_small_gaps(found, lines)
         # 2. Once more without those that are none.
-        sizes = [float((piece.ends[1] - piece.ends[0]) @ lines[piece.line].along) for piece in found]
-        if min(sizes, default=MIN_LENGTH_IN) >= MIN_LENGTH_IN:
-            return found
-        pieces = [piece for piece, size in zip(pieces, sizes, strict=True) if size >= MIN_LENGTH_IN]
+        is_long = [
+            float((piece.ends[1] - piece.ends[0]) @ line.along) >= MIN_LENGTH_IN
+            for piece, line in zip(found, lines, strict=True)
+        ]
+        if all(is_long):
+            return found, lines
+        pieces, lines = list(compress(pieces, is_long)), list(compress(lines, is_long))
 
 
 def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
@@ -467,7 +514,7 @@ def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> No
                 corners.append(corner)
     for corner in sorted(corners, key=lambda corner: (corner.growth_in, corner.one, corner.other)):
         moves = [(corner.one, corner.one_end), (corner.other, corner.other_end)]
-        if all(_may_move(pieces[number], lines, points, end, corner.place) for number, end in moves):
+        if all(_may_move(pieces[number], lines[number], points, end, corner.place) for number, end in moves):
             for number, end in moves:
                 if end is not None:
                     pieces[number].ends[end], pieces[number].closed[end] = corner.place, True
@@ -475,7 +522,7 @@ def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> No
 
 def _corner(pieces: list[Piece], lines: list[_Line], one: int, other: int) -> _Corner | None:
     """Return the corner of two pieces; None if their lines do not meet near an end."""
-    first, second = lines[pieces[one].line], lines[pieces[other].line]
+    first, second = lines[one], lines[other]
     cross = first.normal[0] * second.normal[1] - first.normal[1] * second.normal[0]
     if abs(cross) < np.sin(MIN_CORNER_RAD):
         return None
@@ -496,13 +543,12 @@ def _corner(pieces: list[Piece], lines: list[_Line], one: int, other: int) -> _C
     return _Corner(sum(growths), one, other, place, *ends)
 
 
-def _may_move(piece: Piece, lines: list[_Line], points: Floats, end: int | None, place: Floats) -> bool:
+def _may_move(piece: Piece, line: _Line, points: Floats, end: int | None, place: Floats) -> bool:
     """Return True if an end of a piece may move to a place: it is open, and nothing speaks against it."""
     if end is None:
         return True
     if piece.closed[end]:
         return False
-    line = lines[piece.line]
     coordinate, present = float(place @ line.along), (piece.low, piece.high)[end]
     if line.is_crossed(min(coordinate, present), max(coordinate, present)):
         return False
@@ -516,8 +562,7 @@ def _may_move(piece: Piece, lines: list[_Line], points: Floats, end: int | None,
 
 def _move_ends_to_points(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
     """Move open ends to the nearest point on their line."""
-    for piece in pieces:
-        line = lines[piece.line]
+    for piece, line in zip(pieces, lines, strict=True):
         on_line = points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN]
         for end, (present, sign) in enumerate(((piece.low, -1.0), (piece.high, 1.0))):
             if piece.closed[end] or not len(on_line):
@@ -536,13 +581,11 @@ SMALL_GAP_IN: Final = 4.0
 
 def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
     """Move ends that stop just before another wall onto it."""
-    for piece in pieces:
+    for piece, own in zip(pieces, lines, strict=True):
         for end in range(2):
-            for other in pieces:
+            for other, line in zip(pieces, lines, strict=True):
                 if other is piece:
                     continue
-                line = lines[other.line]
-                own = lines[piece.line]
                 slope = float(own.along @ line.normal)
                 distance = float(piece.ends[end] @ line.normal) - line.offset
                 coordinates = sorted((other.ends @ line.along).tolist())
@@ -685,19 +728,19 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
     """
     if not pieces:
         return
-    covariance, state = covariance_of(estimate), estimate.state
-    walls = surface_lines(estimate)[0]
+    state = estimate.state
+    covariance = _covariance_of_lines(estimate, pieces, lines)
+    walls = np.array([(np.arctan2(line.normal[1], line.normal[0]), line.offset) for line in lines])
     rows = 2 * (len(pieces) + len(state.points))
     A, N = np.zeros((rows, len(covariance))), np.zeros((rows, POSE))
-    for number, piece in enumerate(pieces):
-        line = lines[piece.line]
+    for number, (piece, line) in enumerate(zip(pieces, lines, strict=True)):
         for end, coordinate in enumerate(piece.measured):
             row, place = 2 * number + end, line.at(coordinate)
             # The end moves across the wall by d offset - coordinate * d angle.
-            A[row, WALL * piece.line : WALL * piece.line + 2] = -coordinate, 1.0
+            A[row, WALL * number : WALL * number + 2] = -coordinate, 1.0
             N[row] = *line.normal, line.normal[1] * place[0] - line.normal[0] * place[1]
     for number, (x, y) in enumerate(state.points):
-        row, column = 2 * (len(pieces) + number), WALL * len(state.walls) + POINT * number
+        row, column = 2 * (len(pieces) + number), WALL * len(pieces) + POINT * number
         A[row, column] = A[row + 1, column + 1] = 1.0
         N[row : row + 2] = (1.0, 0.0, -y), (0.0, 1.0, x)
     weights = np.ones(len(A))
@@ -713,15 +756,15 @@ def _add_accuracy(estimate: MapEstimate, pieces: list[Piece], lines: list[_Line]
         piece.std_in, piece.std_rad = float(np.sqrt(max(middle, 0.0))), float(np.sqrt(max(turn, 0.0)))
     # Ends along their walls, without the same rigid motion.
     gauge = fit @ A
-    for piece in pieces:
+    for number, (piece, line) in enumerate(zip(pieces, lines, strict=True)):
         stds: list[float | None] = [None, None]
         for end in range(2):
-            derivative = end_derivative(walls, state.points, piece.line, piece.ends[end])
+            derivative = end_derivative(walls, state.points, number, piece.ends[end])
             if not piece.closed[end] or derivative is None:
                 continue
-            along, place = lines[piece.line].along, piece.ends[end]
+            along, place = line.along, piece.ends[end]
             rigid = np.array((along[0], along[1], along[1] * place[0] - along[0] * place[1]))
-            end_row = np.concatenate((derivative, np.zeros(len(covariance) - len(derivative)))) - rigid @ gauge
+            end_row = derivative - rigid @ gauge
             stds[end] = max(float(end_row @ covariance @ end_row), 0.0) ** 0.5
         piece.end_stds_in = (stds[0], stds[1])
 
@@ -771,31 +814,34 @@ def end_derivative(walls: Floats, points: Floats, own: int, place: Floats) -> Fl
     return None
 
 
-def covariance_of(estimate: MapEstimate) -> Floats:
-    """Return the covariance (m, m) of the lines of walls, points and parameters."""
-    covariance = estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
-    state = estimate.state
-    if not len(state.levels):
-        return covariance
-    # Of the lines through the surfaces, which are linear in walls and levels.
-    _, by_unknowns = surface_lines(estimate)
-    count = len(covariance) - len(state.levels)
-    J = np.eye(count, len(covariance))
-    for number, derivative in enumerate(by_unknowns):
+def _covariance_of_lines(estimate: MapEstimate, pieces: Sequence[Piece], lines: Sequence[_Line]) -> Floats:
+    """Return the covariance (m, m) of the lines of pieces and of all points, which are linear in the unknowns."""
+    covariance, state = covariance_of(estimate), estimate.state
+    J = np.zeros((WALL * len(pieces) + state.points.size, len(covariance)))
+    first_level = len(covariance) - len(state.levels)
+    for number, (piece, line) in enumerate(zip(pieces, lines, strict=True)):
         own = slice(WALL * number, WALL * (number + 1))
-        J[own, own], J[own, count:] = derivative[:, :WALL], derivative[:, WALL:]
+        J[own, WALL * piece.line : WALL * (piece.line + 1)] = np.eye(WALL)
+        J[own.stop - 1, first_level:] = line.by_levels
+    J[WALL * len(pieces) :, WALL * len(state.walls) :][:, : state.points.size] = np.eye(state.points.size)
     found: Floats = J @ covariance @ J.T
     return found
 
 
+def covariance_of(estimate: MapEstimate) -> Floats:
+    """Return the covariance (m, m) of the unknowns of a map but its poses: walls, points, parameters, levels."""
+    return estimate.problem.normal_equations(estimate.state, estimate.assignment).border_covariance()
+
+
 def parameter_covariance(estimate: MapEstimate) -> Floats:
     """Return the covariance of the calibration parameters."""
-    first = WALL * len(estimate.state.walls) + POINT * len(estimate.state.points)
-    covariance: Floats = covariance_of(estimate)[first:, first:]
-    return covariance
+    state = estimate.state
+    first = WALL * len(state.walls) + POINT * len(state.points)
+    own = slice(first, first + len(state.parameters))
+    return covariance_of(estimate)[own, own]
 
 
-def axes_rad(pieces: list[Piece], lines: Floats) -> float:
+def axes_rad(pieces: Sequence[Piece]) -> float:
     """Return the angle of the axis that lies along most of the length of the walls, from -45 to 45 degrees.
 
     Walls within 2 degrees of the longest one's direction, or of its perpendicular, are averaged by their length.
@@ -803,7 +849,7 @@ def axes_rad(pieces: list[Piece], lines: Floats) -> float:
     if not pieces:
         return 0.0
     quarter = np.pi / 2.0
-    angles = np.array([lines[piece.line, 0] for piece in pieces])
+    angles = np.array([np.arctan2(piece.along[1], piece.along[0]) for piece in pieces])
     sizes = np.array([piece.measured_in for piece in pieces])
     off = (angles - angles[0] + quarter / 2.0) % quarter - quarter / 2.0
     parallel = np.abs(off) < radians(2.0)

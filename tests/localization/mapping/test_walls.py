@@ -26,7 +26,15 @@ from localization.mapping.reflectors import MAX_GAP_IN, residual_matrix, segment
 from localization.mapping.revision import close_wall_ends, drop_corner_cuts, join_points, prune, swallow
 from localization.mapping.spans import Span, find_wall_ends, pass_through, uncrossed_spans
 from localization.mapping.surfaces import costs_of_turns
-from localization.mapping.walls import extract_walls, find_outlines, free_paths, passed_walls, surface_lines
+from localization.mapping.walls import (
+    covariance_of,
+    extract_walls,
+    find_outlines,
+    free_paths,
+    level_weights,
+    passed_walls,
+    surface_line,
+)
 from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world
 from worlds.world import SurfaceSpot
@@ -127,7 +135,7 @@ def test_span_belongs_to_the_line_nearest_to_it(opened: MapEstimate) -> None:
 def test_span_along_a_surface_belongs_to_what_was_measured_there() -> None:
     # Two parts of a wall along x, with lines at y = 0 and y = 2, and a wall across it.
     x, y = np.array((1.0, 0.0)), np.array((0.0, 1.0))
-    lines = [walls._Line(n, a, at, np.zeros(0)) for n, a, at in ((y, x, 0.0), (y, x, 2.0), (x, -y, 30.0))]
+    lines = [walls._Line(n, a, at, np.zeros(0), np.zeros(0)) for n, a, at in ((y, x, 0.0), (y, x, 2.0), (x, -y, 30.0))]
     runs_of = [[(50.0, 90.0, 20)], [(0.0, 10.0, 5), (14.0, 20.0, 5)], [(-80.0, 0.0, 30)]]
 
     def owner(
@@ -439,14 +447,41 @@ def test_line_of_a_surface_has_the_mean_level_of_its_cells(
     found = with_surface(estimate, 3)
     variances = np.random.default_rng(5).uniform(0.0, 1.0, 16)
     monkeypatch.setattr(MapProblem, "level_variances", lambda *_: variances)
-    lines, _ = surface_lines(found)
-    state = found.state
+    state, weights = found.state, level_weights(found)
     for number, count in ((0, 15), (1, 1)):
         own = state.levels.of(number)
         assert own.stop - own.start == count
         mean = np.average(state.levels.value_in[own], weights=1.0 / (variances[own] + 0.4**2))
-        assert lines[number] == pytest.approx(state.walls[number] + (0.0, mean))
-    np.testing.assert_array_equal(lines[2:], state.walls[2:])
+        assert surface_line(found, number, weights)[0] == pytest.approx(state.walls[number] + (0.0, mean))
+    np.testing.assert_array_equal(surface_line(found, 2, weights)[0], state.walls[2])
+    # A part has that of the cells whose middles are on it, here two; between two middles it has none of its own.
+    part = np.average(state.levels.value_in[4:6], weights=1.0 / (variances[4:6] + 0.4**2))
+    low = LEVEL_CELL_IN * (state.levels.cell[4] + 0.5)
+    line, _ = surface_line(found, 0, weights, (low - 0.1, low + LEVEL_CELL_IN + 0.1))
+    assert line == pytest.approx(state.walls[0] + (0.0, part))
+    between, _ = surface_line(found, 0, weights, (low + 0.1, low + LEVEL_CELL_IN - 0.1))
+    np.testing.assert_array_equal(between, surface_line(found, 0, weights)[0])
+
+
+def test_parts_of_a_wall_with_a_step_have_lines_of_their_own(estimate: MapEstimate) -> None:
+    """The wall y = -25 has a step of 4 in at x = 40, and nothing was measured from x = 32 to 46."""
+    found = with_levels(estimate)
+    south = int(np.abs(np.sin(found.state.walls[:, 0]) * found.state.walls[:, 1] + 25.0).argmin())
+    angle, offset = found.state.walls[south]
+    own = found.state.levels.of(south)
+    at = LEVEL_CELL_IN * (found.state.levels.cell[own] + 0.5)
+    x = -np.sin(angle) * at
+    values = found.state.levels.value_in.copy()
+    values[own] = np.where(x > 40.0, 4.0, 0.0)
+    found.state = replace(found.state, levels=replace(found.state.levels, value_in=values))
+    feet = np.sort(-np.sin(angle) * np.concatenate((np.arange(0.0, 34.0, 2.0), np.arange(46.0, 80.0, 2.0))))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(walls, "_clear_feet", lambda _, wall: feet if wall == south else np.zeros(0))
+        patch.setattr(walls, "MAX_GAP_IN", 8.0)
+        pieces = [piece for piece in extract_walls(found) if piece.line == south]
+    assert len(pieces) == 2
+    for piece, level in zip(sorted(pieces, key=lambda piece: piece.ends[:, 0].min()), (0.0, 4.0), strict=True):
+        np.testing.assert_allclose(piece.measured_ends @ (np.cos(angle), np.sin(angle)), offset + level, atol=1e-9)
 
 
 def test_measured_spots_of_a_surface_are_part_of_the_map(
@@ -534,23 +569,42 @@ def test_measured_part_of_a_wall_moves_with_it() -> None:
     assert moved.high - moved.low == pytest.approx(18.0)
 
 
-def test_derivatives_of_a_surface_are_difference_quotients(estimate: MapEstimate) -> None:
-    found, h = with_surface(estimate, 4), 1e-6
-    walls_of, levels = found.state.walls, found.state.levels
-    _, by_unknowns = surface_lines(found)
-    for number in (0, 1, 2):
-        for column in range(2 + len(levels)):
-            ends = []
-            for sign in (1.0, -1.0):
-                changed = found.copy()
-                moved, values = walls_of.copy(), levels.value_in.copy()
-                if column < 2:
-                    moved[number, column] += sign * h
-                else:
-                    values[column - 2] += sign * h
-                changed.state = replace(found.state, walls=moved, levels=replace(levels, value_in=values))
-                ends.append(surface_lines(changed)[0][number])
-            np.testing.assert_allclose(by_unknowns[number, :, column], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
+def test_covariance_of_lines_is_that_of_all_unknowns_propagated(estimate: MapEstimate) -> None:
+    """Oracle: derivatives of the lines as difference quotients, C' = J C J'."""
+    found, h = with_levels(estimate), 1e-6
+    state, weights, paths = found.state, level_weights(found), free_paths(found)
+    first, last = state.levels.of(1).start, state.levels.of(1).stop - 1
+    low, high = LEVEL_CELL_IN * (state.levels.cell[[first, last]] + 0.5)
+    parts = [(1, (low - 1.0, 0.5 * (low + high))), (0, walls.WHOLE), (1, (0.5 * (low + high), high + 1.0))]
+    pieces = [walls.Piece(wall, 0.0, 9.0, np.zeros((2, 2)), [True, True], 9) for wall, _ in parts]
+    lines = [walls._line(found, wall, weights, paths, part) for wall, part in parts]
+
+    def quantities(changed: MapEstimate) -> Floats:
+        ends = [surface_line(changed, wall, weights, part)[0] for wall, part in parts]
+        return np.concatenate((*ends, changed.state.points.reshape(-1)))
+
+    # Walls, points, parameters, levels.
+    count = len(covariance_of(found))
+    unknown = [np.eye(count)[row] for row in range(count)]
+    J = np.stack([
+        (quantities(moved(found, h * row)) - quantities(moved(found, -h * row))) / (2.0 * h) for row in unknown
+    ], axis=1)  # fmt: skip
+    expected = J @ covariance_of(found) @ J.T
+    np.testing.assert_allclose(walls._covariance_of_lines(found, pieces, lines), expected, rtol=1e-5, atol=1e-9)
+    # Both parts of a wall have levels of their own.
+    assert lines[0].by_levels @ lines[2].by_levels < 0.5 * (lines[0].by_levels @ lines[0].by_levels)
+
+
+def moved(estimate: MapEstimate, by: Floats) -> MapEstimate:
+    """Return a map whose walls, points, parameters and levels are moved by a vector (m,)."""
+    found, state = estimate.copy(), estimate.state
+    steps = np.split(by, np.cumsum((state.walls.size, state.points.size, len(state.parameters))))
+    found.state = replace(
+        state, walls=state.walls + steps[0].reshape(-1, 2), points=state.points + steps[1].reshape(-1, 2),
+        parameters=state.parameters + steps[2],
+        levels=replace(state.levels, value_in=state.levels.value_in + steps[3]),
+    )  # fmt: skip
+    return found
 
 
 def with_levels(estimate: MapEstimate) -> MapEstimate:
