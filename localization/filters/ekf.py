@@ -123,7 +123,10 @@ class KalmanFilter(Filter):
         self._limits_in = (noise.lowest_in, noise.highest_in) if noise else (-inf, inf)
         self._signs: Signs | None = None
         """Signs of the present health; None: to be computed."""
-        self._informative = update.INFORMATIVE_IN_CLUTTER if measurement.level_stds else update.INFORMATIVE
+        # Surfaces err by inches, and a wrong one alike in each reading: one along the axis of another is no new one.
+        has_levels = bool(measurement.level_stds)
+        self._informative = update.INFORMATIVE_IN_CLUTTER if has_levels else update.INFORMATIVE
+        self._count_of = update.count_along_axis if has_levels else update.count_used
         model, has_limit = measurement.model, limits.heading_nats < inf
         self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
@@ -160,7 +163,7 @@ class KalmanFilter(Filter):
         Only readings that are used can be repeated, and only informative ones enter the health.
         """
         self._signs = None
-        count, outlier_fraction = update.count_used(self._used, sonar, turret_offset_rad) + 1, self._used[-1][OUTLIERS]
+        count, outlier_fraction = self._count_of(self._used, sonar, turret_offset_rad) + 1, self._used[-1][OUTLIERS]
         result = self._measurement.apply(self._x, self._P, sonar, turret_offset_rad, reading_in, count,
                                          outlier_fraction)
         if result.refusal is Refusal.NONE:

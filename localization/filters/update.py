@@ -563,13 +563,18 @@ def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
 
 def count_used(used: Used, sonar: int, turret_offset_rad: float) -> int:
     """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
+    is_here = abs(used[-1][TURN] - used[sonar][TURN]) <= SAME_POSE_RAD
+    return count_along_axis(used, sonar, turret_offset_rad) if is_here else 0
+
+
+def count_along_axis(used: Used, sonar: int, turret_offset_rad: float) -> int:
+    """Return how many readings of this sonar were used from this place along this axis.
+
+    The robot may have turned below its turret meanwhile: another heading, but an echo of the same spot.
+    """
     first, so_far = used[sonar], used[-1]
-    turned_rad = so_far[TURN] - first[TURN]
-    is_here = (
-        so_far[TRAVEL] - first[TRAVEL] <= SAME_POSE_IN
-        and abs(turned_rad) <= SAME_POSE_RAD
-        and abs(wrap_angle(turned_rad + turret_offset_rad - first[TURRET])) <= SAME_POSE_RAD
-    )
+    turned_rad = so_far[TURN] - first[TURN] + turret_offset_rad - first[TURRET]
+    is_here = so_far[TRAVEL] - first[TRAVEL] <= SAME_POSE_IN and abs(wrap_angle(turned_rad)) <= SAME_POSE_RAD
     return int(first[COUNT]) if is_here else 0
 
 

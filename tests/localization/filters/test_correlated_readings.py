@@ -9,6 +9,7 @@ from localization.filters.update import (
     SAME_POSE_IN,
     SAME_POSE_RAD,
     Used,
+    count_along_axis,
     count_used,
     inflated_variance,
     move_on,
@@ -80,6 +81,17 @@ def test_count_restarts_at_another_pose(step: tuple[float, float], turret_rad: f
     record_used(repeats, 3, 0.0, 1)
     move_on(repeats, *step)
     assert number_of(repeats, 3, turret_rad) == (2 if again else 1)
+
+
+def test_a_robot_that_turns_below_its_turret_measures_along_the_same_axis() -> None:
+    repeats = new_used()
+    record_used(repeats, 3, 0.2, 1)
+    move_on(repeats, 0.0, 1.5)
+    assert count_used(repeats, 3, -1.3) == 0
+    assert count_along_axis(repeats, 3, -1.3) == 1
+    assert count_along_axis(repeats, 3, -1.3 + 1.1 * SAME_POSE_RAD) == 0
+    move_on(repeats, 1.1 * SAME_POSE_IN, 0.0)
+    assert count_along_axis(repeats, 3, -1.3) == 0
 
 
 def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:

@@ -168,6 +168,20 @@ def test_a_standing_robot_learns_from_one_echo_only() -> None:
     assert localizer.belief.cov[1, 1] == pytest.approx(once, rel=1e-6)
 
 
+def test_an_echo_along_the_same_axis_after_a_turn_below_the_turret_tells_nothing_new() -> None:
+    localizer = surface_filter([0.0, 0.0, 0.0], [2.0, 2.0, 0.2])
+    localizer.update(LEFT, 0.0, 33.0)
+    for turned in (0.5, 1.0):
+        localizer.predict(0.0, 0.5)
+        before = localizer.belief
+        localizer.update(LEFT, -turned, 33.0)
+        np.testing.assert_array_equal(localizer.belief.mean, before.mean)
+        np.testing.assert_array_equal(localizer.belief.cov, before.cov)
+    # Along another axis it does.
+    localizer.update(LEFT, -1.0 + radians(11.0), 33.0)
+    assert localizer.belief.cov[1, 1] < before.cov[1, 1]
+
+
 def test_echoes_of_one_level_are_one_measurement_of_the_wall() -> None:
     """Oracle: n readings with the common error c of the level and own errors r have the variance c^2 + r^2 / n."""
     localizer = surface_filter([0.0, 0.0, 0.0], [0.0, 50.0, 0.0], WALL, surface_length_in=1e9, outlier_probability=0.0)
