@@ -8,7 +8,7 @@
         release, square, prune; tie points to walls; optimize; drop what is hidden; weigh the ranges; turn walls and
         square them; drop slanted walls that explain hardly anything; trim surfaces
     once more in rounds of another size, if the map is poor or walls have levels; try walls of the other map in the
-    cheaper one (`alternatives.py`), and turn all of its walls at right angles together (`learn_log`)
+    cheaper one (`alternatives.py`), and bring its walls to right angles (`learn_log`)
 
 Revision makes the map as simple as its echoes allow (`revision.py`, and `merging.py` for walls that are one or two).
 """
@@ -45,10 +45,10 @@ from localization.mapping.revision import (
     prune,
     release_stretches,
     square,
+    square_together,
     swallow,
     tie_points,
     trim_surfaces,
-    turn_together,
     turn_walls,
 )
 from localization.mapping.weights import weigh_ranges
@@ -269,7 +269,7 @@ def learn_log(
     best, other = sorted((first, second), key=_cost_by_readings)
     if has_levels:
         best.adopt(other)
-    turn_together(best.estimate)
+    square_together(best.estimate)
     return best
 
 

@@ -52,8 +52,9 @@ NO_LEVEL: Final = -1
 """Level of an echo that is of no wall, or of a plane."""
 LEVEL_CELL_IN: Final = 2.0 * SPOT_REACH_IN
 """4 in of a wall have one level: a sixth of the mean length of a level, so that few cells have two of them."""
-SAME_LEVEL_STD_IN: Final = 0.15
-"""Standard deviation of a level from the one before where the surface does not change: plaster is no plane."""
+SAME_LEVEL_STD_IN: Final = 0.06
+"""Standard deviation of a level from the one before where the surface does not change: plaster is no plane. Such random
+steps are 5 mm within 1 m and 10 mm within 4 m, the flatness that DIN 18202 requires of finished walls."""
 WALL, POINT = 2, 2
 COMMON_OFFSET: Final = 3
 """Index of the range offset of all sonars among the parameters; own offsets follow."""

@@ -71,8 +71,6 @@ SHORT_IN: Final = 40.0
 of a wall of which 70 in were measured cost as little."""
 MIN_SLANTED_GAIN: Final = 20.0
 """Cost of ranges that a slanted wall must save: in 72 maps of 36 drives the true ones saved 31 or more."""
-COMMON_TURNS_RAD: Final = np.radians(np.linspace(-1.5, 1.5, 61))
-"""Turns of all walls at right angles that are compared, a little beyond RIGHT_ANGLE_LIMIT_RAD."""
 MIN_TURN_GAIN: Final = 1.0
 """Cost of its stretches that a turn must save to be tried."""
 SWALLOW_IN: Final = 40.0
@@ -538,51 +536,35 @@ def turn_walls(estimate: MapEstimate) -> int:
     for wall in range(len(estimate.state.walls) if estimate.surface_in else 0):
         if not len(estimate.echoes_of(wall)):
             continue
-        costs = _costs_of_turns(estimate, wall, TURNS_RAD)
+        middle_in = float(estimate.extents[wall].mean())
+        costs = costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, TURNS_RAD)
         best = int(costs.argmin())
         if costs[best] <= costs[present] - MIN_TURN_GAIN:
             turned += _try_turn(estimate, wall, float(TURNS_RAD[best]))
     return turned
 
 
-def turn_together(estimate: MapEstimate) -> None:
-    """Bring walls with levels to right angles, then turn all of these by one common angle.
+def square_together(estimate: MapEstimate) -> None:
+    """Bring walls with levels to right angles, and keep them there: the problem has SQUARE_STD_RAD from then on.
 
-    Levels may drift from cell to cell, so a slope of a wall costs hardly anything, and the optimizer does not correct
-    it. The costs of the stretches of all walls at right angles determine their common direction best. Optimizing
-    afterwards would undo that turn. The problem has SQUARE_STD_RAD from then on.
+    Levels may drift from cell to cell, so a slope of one wall costs hardly anything. That of all of them together does.
     """
     off = _off_axes(estimate)
     is_square = np.abs(off) < RIGHT_ANGLE_LIMIT_RAD
     if not estimate.surface_in or not is_square.any():
         return
-    # 1. Right angles.
-    walls = np.flatnonzero(is_square).tolist()
-    for wall in walls:
+    for wall in np.flatnonzero(is_square).tolist():
         estimate.replace_by(_turned_wall(estimate, wall, -float(off[wall])))
     estimate.problem = estimate.problem.with_right_angles(SQUARE_STD_RAD)
     for _ in range(2):
         estimate.optimize(LAST_STEPS)
         estimate.associate()
-    # 2. The common turn. Surfaces stay where they are.
-    measured = [wall for wall in walls if len(estimate.echoes_of(wall))]
-    costs = np.sum([_costs_of_turns(estimate, wall, COMMON_TURNS_RAD) for wall in measured], axis=0)
-    best, present = int(np.argmin(costs)), len(COMMON_TURNS_RAD) // 2
-    if measured and costs[best] <= costs[present] - MIN_TURN_GAIN:
-        for wall in walls:
-            estimate.replace_by(_turned_wall(estimate, wall, float(COMMON_TURNS_RAD[best])))
 
 
 def _off_axes(estimate: MapEstimate) -> Floats:
     """Return the angles (w,) of walls from the axes of the building; none of fewer than two walls."""
     problem = estimate.problem
     return problem.angle_residuals(estimate.state, estimate.assignment)[0] * problem.right_angle_std_rad
-
-
-def _costs_of_turns(estimate: MapEstimate, wall: int, turns_rad: Floats) -> Floats:
-    """Return the costs (t,) of the stretches of a wall that is turned about its middle."""
-    middle_in = float(estimate.extents[wall].mean())
-    return costs_of_turns(estimate.problem, estimate.state, estimate.assignment, wall, middle_in, turns_rad)
 
 
 def _try_turn(estimate: MapEstimate, wall: int, by_rad: float, allowed: float = 0.0) -> bool:

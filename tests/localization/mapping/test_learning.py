@@ -559,7 +559,7 @@ def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     monkeypatch.setattr("localization.mapping.learn._cost_by_readings", lambda learner: learner.estimate.cost)
     monkeypatch.setattr(Learner, "misfit", misfit)
     turned: list[float] = []
-    monkeypatch.setattr("localization.mapping.learn.turn_together", lambda estimate: turned.append(estimate.cost))
+    monkeypatch.setattr("localization.mapping.learn.square_together", lambda estimate: turned.append(estimate.cost))
     Learner.made.clear()
     Learner.adopted.clear()
     assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best

@@ -763,15 +763,9 @@ def test_walls_with_levels_turn_to_the_direction_of_their_stretches(estimate: Ma
     assert revision.turn_walls(estimate) == 0
 
 
-@pytest.mark.parametrize("optimizes", [True, False])
 @pytest.mark.parametrize("turn_deg", [-0.9, 0.6])
-def test_square_walls_turn_together_to_the_direction_of_their_stretches(
-    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, turn_deg: float, optimizes: bool
-) -> None:
-    """Oracle: straight lines by numpy through the surfaces of a room whose true walls are planes.
-
-    Here the optimizer corrects most of the turn as well, so both are tested: with it, and the turn alone.
-    """
+def test_square_walls_turn_together_to_the_direction_of_their_surfaces(estimate: MapEstimate, turn_deg: float) -> None:
+    """Oracle: straight lines by numpy through the surfaces of a room whose true walls are planes."""
     found = with_levels(estimate)
     found.optimize(3)
 
@@ -789,10 +783,7 @@ def test_square_walls_turn_together_to_the_direction_of_their_stretches(
     for wall, by_deg in enumerate(turns_deg.tolist()):
         found = revision._turned_wall(found, wall, radians(by_deg))
     assert slopes_deg(found).mean() == pytest.approx(turn_deg, abs=0.02)
-    if not optimizes:
-        monkeypatch.setattr(MapEstimate, "optimize", lambda *_: None)
-        monkeypatch.setattr(MapEstimate, "associate", lambda *_: None)
-    revision.turn_together(found)
+    revision.square_together(found)
     assert slopes_deg(found).mean() == pytest.approx(0.0, abs=0.1)
     off_axes = np.degrees(wrap_angle(4.0 * (found.state.walls[:, 0] - found.state.walls[0, 0]))) / 4.0
     np.testing.assert_allclose(off_axes, 0.0, atol=0.1)
@@ -800,7 +791,7 @@ def test_square_walls_turn_together_to_the_direction_of_their_stretches(
 
 def test_planes_and_a_single_wall_are_not_turned(estimate: MapEstimate) -> None:
     plane = estimate.copy()
-    revision.turn_together(plane)
+    revision.square_together(plane)
     np.testing.assert_array_equal(plane.state.walls, estimate.state.walls)
     assert plane.problem is estimate.problem
     alone = with_levels(estimate)
@@ -809,7 +800,7 @@ def test_planes_and_a_single_wall_are_not_turned(estimate: MapEstimate) -> None:
         alone.remove(len(alone.state.walls) - 1)
     alone.associate()
     before = alone.state.walls.copy()
-    revision.turn_together(alone)
+    revision.square_together(alone)
     np.testing.assert_array_equal(alone.state.walls, before)
 
 
@@ -821,7 +812,7 @@ def test_slanted_walls_stay_when_the_others_turn(slant_deg: float) -> None:
     found = with_levels(planes)
     found.optimize(3)
     assert len(found.state.walls) == 4
-    revision.turn_together(found)
+    revision.square_together(found)
     off = np.degrees(wrap_angle(4.0 * (found.state.walls[:, 0] - found.state.walls[0, 0])) / 4.0)
     slanted = np.abs(off) > 1.0
     assert np.abs(off[~slanted]).max() < 0.15
