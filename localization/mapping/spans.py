@@ -223,8 +223,9 @@ def _are_alone(estimate: MapEstimate, echoes: Indices) -> Mask:
 def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
     """Return True (s,) for segments (s, 4) from one wall to another across their corner, nearer than surfaces vary.
 
-    Both walls are longer. Posts of both are seen between which no sound passes, since behind is the corner; and echoes
-    of the corner itself, which is where the levels of both walls meet, move with the feet of the walls.
+    Or from behind one to behind the other, through the corner. Both walls are longer. Posts of both are seen between
+    which no sound passes, since behind is the corner; and echoes of the corner itself, which is where the levels of
+    both walls meet, move with the feet of the walls.
     """
     found = np.zeros(len(segments), dtype=np.bool_)
     if not estimate.surface_in or not len(segments):
@@ -234,11 +235,13 @@ def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
     span = segments[:, 2:] - segments[:, :2]
     lengths = np.maximum(np.hypot(*span.T), 1e-9)
     along = span / lengths[:, None]
-    # 1. Walls that each segment begins at and ends at, at an angle to it.
+    # 1. Walls that each segment begins and ends at, or behind, at an angle to it.
     meets = (np.abs(along @ normals.T) > np.sin(MIN_CORNER_RAD)) & (sizes > lengths[:, None])
+    front = np.sign(np.median(along_and_across(estimate.state.poses[:, :2], walls)[1], axis=0))
+    behind_in = [-front * along_and_across(places, walls)[1] for places in (segments[:, :2], segments[:, 2:])]
     first, second = (
-        meets & (np.abs(along_and_across(places, walls)[1]) < estimate.surface_in)
-        for places in (segments[:, :2], segments[:, 2:])
+        meets & (behind > -estimate.surface_in) & (behind < np.maximum(lengths[:, None], estimate.surface_in))
+        for behind in behind_in
     )
     # 2. The corners of these walls.
     crosses = np.abs(np.sin(walls[:, :1] - walls[:, 0])) > np.sin(MIN_CORNER_RAD)

@@ -653,18 +653,20 @@ def test_surface_between_two_points_is_measured_by_sonars_that_face_it(
     assert not any(span.is_measured or span.is_wall for span in planes)
 
 
-@pytest.mark.parametrize(("west_y_in", "south_x_in", "cuts"), [
-    (-17.0, -13.0, True),  # two posts, 8 and 12 in from the corner at (-25, -25)
-    (-5.0, 15.0, False),  # farther from the corner: sound would have come back from there
+@pytest.mark.parametrize(("first", "last", "cuts"), [
+    ((-25.0, -17.0), (-13.0, -25.0), True),  # two posts, 8 and 12 in from the corner at (-25, -25)
+    ((-25.0, -5.0), (15.0, -25.0), False),  # farther from the corner: sound would have come back from there
+    ((-31.0, -18.0), (-18.0, -31.0), True),  # through the corner, from behind one wall to behind the other
+    ((-17.0, -17.0), (-31.0, -31.0), False),  # out of the room
 ])  # fmt: skip
-def test_posts_of_both_walls_of_a_corner_are_no_wall(
-    estimate: MapEstimate, west_y_in: float, south_x_in: float, cuts: bool
+def test_what_leads_across_a_corner_is_no_wall(
+    estimate: MapEstimate, first: tuple[float, float], last: tuple[float, float], cuts: bool
 ) -> None:
-    ends = np.array([(-25.0, west_y_in, south_x_in, -25.0)])
+    ends = np.array([(*first, *last)])
     found = with_levels(estimate)
     assert spans.cut_corners(found, ends).tolist() == [cuts]
     # A wall that ends in the corner is none across it, and planes have no posts.
-    assert not spans.cut_corners(found, np.array([(-25.0, west_y_in, -25.0, -25.0)])).any()
+    assert not spans.cut_corners(found, np.array([(-25.0, -17.0, -25.0, -25.0)])).any()
     assert not spans.cut_corners(estimate, ends).any()
     # Nor one from a wall that is shorter, such as a reveal.
     short = found.copy()
