@@ -18,8 +18,9 @@ Without it a learned map would be no better than the true straight lines of the 
 to measure on each drive anew. All are weighed by their probability, and merged into one Gaussian in which
 the wall's level is b or b'. A first echo measures the position to r + std^2; all echoes of one level together measure
 it no better than to std^2, but the heading, by how the range changes along the level, to the few millimetres of a
-smooth wall. A robot that stands learns nothing more from more echoes, nor does one that turns below its turret: an echo
-of a thing that is not on the map, received once a second along one axis, turned an uncertain heading by 17 degrees.
+smooth wall. A robot that stands learns nothing more from more echoes. Nor does one whose base turns below its turret:
+these echoes are repeated ones (`update.count_along_axis`). Taken for new ones, the echoes of a thing that is not on the
+map, received once a second along one axis, turned an uncertain heading by 17 degrees.
 
 The filter's state is: pose and odometry parameters, MAX_LEVELS levels, b', range parameters.
 

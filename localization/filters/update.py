@@ -562,13 +562,13 @@ def move_on(used: Used, distance_in: float, turn_rad: float) -> None:
 
 
 def count_used(used: Used, sonar: int, turret_offset_rad: float) -> int:
-    """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
+    """Return how many readings of this sonar were used from this pose, along this axis."""
     is_here = abs(used[-1][TURN] - used[sonar][TURN]) <= SAME_POSE_RAD
     return count_along_axis(used, sonar, turret_offset_rad) if is_here else 0
 
 
 def count_along_axis(used: Used, sonar: int, turret_offset_rad: float) -> int:
-    """Return how many readings of this sonar were used from this place along this axis.
+    """Return how many readings of this sonar were used from this place, along this axis.
 
     The robot may have turned below its turret meanwhile: another heading, but an echo of the same spot.
     """

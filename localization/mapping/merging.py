@@ -98,7 +98,7 @@ def _may_be_faces(estimate: MapEstimate, one: int, other: int, information: Floa
     estimate, one, other
         The map, and the numbers of two walls.
     information
-        (m, m) of walls, points and parameters, with the poses eliminated; without it all opposite sides count.
+        (m, m) of walls, points, parameters and levels, with the poses eliminated; without it all opposite sides count.
     """
     angles = estimate.state.walls[[one, other], 0]
     sides = [_side_of(estimate, wall) for wall in (one, other)]

@@ -9,7 +9,7 @@
     absorb   a point on a wall becomes part of it
     square   a wall with levels turns to the axes of the building
     turn     a wall with levels turns to the direction of its most probable stretches
-    together all walls with levels at right angles turn by one angle, not optimized afterwards
+    together walls with levels turn onto the axes, and right angles have SQUARE_STD_RAD from then on
     drop     what is hidden behind walls, across their corners, or measured no more is removed, whatever it costs; and
              slanted walls with levels that explain hardly anything
     trim     echoes of a wall with levels from where there is no wall in the end are left out
@@ -302,8 +302,8 @@ def drop_unmeasured(estimate: MapEstimate) -> int:
 def trim_surfaces(estimate: MapEstimate) -> int:
     """Leave out the echoes of walls with levels from where there is no wall in the end, and return their number.
 
-    A line is continued by echoes that are of no other wall, beyond a corner or a post that ends the wall. The mean of
-    its levels is that of the wall without them.
+    A line is continued by echoes that are of no other wall, beyond a corner or a post that ends the wall. Without them
+    its extent is that of the wall, and the levels beside its end are those of its own echoes.
     """
     if not estimate.surface_in:
         return 0
@@ -547,7 +547,8 @@ def turn_walls(estimate: MapEstimate) -> int:
 def square_together(estimate: MapEstimate) -> None:
     """Bring walls with levels to right angles, and keep them there: the problem has SQUARE_STD_RAD from then on.
 
-    Levels may drift from cell to cell, so a slope of one wall costs hardly anything. That of all of them together does.
+    A slope of a single wall costs hardly anything, since levels may drift from cell to cell. One that all walls have in
+    common costs more, so the optimizer finds their direction once they are at right angles.
     """
     off = _off_axes(estimate)
     is_square = np.abs(off) < RIGHT_ANGLE_LIMIT_RAD

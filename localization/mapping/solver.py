@@ -65,7 +65,7 @@ class NormalEquations:
         return reduced, right
 
     def border_covariance(self) -> Floats:
-        """Return S^-1 (m, m), the covariance of walls, points and parameters with all poses marginalized."""
+        """Return S^-1 (m, m), the covariance of walls, points, parameters and levels with all poses marginalized."""
         covariance = np.linalg.inv(self.reduced()[0])
         return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 

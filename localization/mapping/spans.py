@@ -221,11 +221,11 @@ def _are_alone(estimate: MapEstimate, echoes: Indices) -> Mask:
 
 
 def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
-    """Return True (s,) for segments (s, 4) from one wall to another across their corner, nearer than surfaces vary.
+    """Return True (s,) for segments (s, 4) from one wall to another across their corner, not far from it.
 
-    Or from behind one to behind the other, through the corner. Both walls are longer. Posts of both are seen between
-    which no sound passes, since behind is the corner; and echoes of the corner itself, which is where the levels of
-    both walls meet, move with the feet of the walls.
+    Or from behind one wall to behind the other, through their corner. Both walls are longer, and for the second case
+    were measured from one side. Posts of both are seen between which no sound passes, since behind is the corner; and
+    echoes of the corner itself, which is where the levels of both walls meet, move with the feet of the walls.
     """
     found = np.zeros(len(segments), dtype=np.bool_)
     if not estimate.surface_in or not len(segments):
@@ -237,12 +237,12 @@ def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
     along = span / lengths[:, None]
     # 1. Walls that each segment begins and ends at, or behind, at an angle to it.
     meets = (np.abs(along @ normals.T) > np.sin(MIN_CORNER_RAD)) & (sizes > lengths[:, None])
-    front = np.sign(np.median(along_and_across(estimate.state.poses[:, :2], walls)[1], axis=0))
-    behind_in = [-front * along_and_across(places, walls)[1] for places in (segments[:, :2], segments[:, 2:])]
-    first, second = (
-        meets & (behind > -estimate.surface_in) & (behind < np.maximum(lengths[:, None], estimate.surface_in))
-        for behind in behind_in
-    )
+    near_in, sides = estimate.surface_in, estimate.sides
+    is_behind = [
+        np.abs(across) < np.where(sides * across < 0.0, np.maximum(lengths[:, None], near_in), near_in)
+        for across in (along_and_across(places, walls)[1] for places in (segments[:, :2], segments[:, 2:]))
+    ]
+    first, second = meets & is_behind[0], meets & is_behind[1]
     # 2. The corners of these walls.
     crosses = np.abs(np.sin(walls[:, :1] - walls[:, 0])) > np.sin(MIN_CORNER_RAD)
     for one, other in np.argwhere(crosses):

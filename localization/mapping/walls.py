@@ -242,7 +242,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
     # 3. Ends.
-    pieces, own_lines = _with_ends(pieces, own_lines, points, has_levels)
+    pieces, own_lines = _with_ends(pieces, own_lines, points, estimate.surface_in)
     if with_accuracy:
         _add_accuracy(estimate, pieces, own_lines)
         _add_surfaces(estimate, pieces)
@@ -358,9 +358,9 @@ def surface_line(
         angle' = angle,   offset' = offset + sum(w_c b_c) / sum(w_c)
 
     The straight line that fits the levels best would be slanted where a door stands back at one end, by degrees, and
-    all walls beside it would not meet at right angles. A part has a line of its own: where another wall meets a wall
-    that stands back on one side of it by 4 in, the line through both parts would be that of neither. The derivative is
-    that of the offset, with the weights as they are; of a plane it is 0.
+    all walls beside it would not meet at right angles. A part has a line of its own: where an inner wall divides one
+    whose surface stands back by 4 in on one side, the line through both parts would be that of neither. The derivative
+    is that of the offset, with the weights as they are; of a plane it is 0.
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ def surface_line(
     weights
         (l,) of all levels (`level_weights`).
     part
-        Coordinates along the wall between which the cells count; if it has none, all do.
+        Coordinates along the wall between which the cells count; if no cell is there, all cells of the wall do.
     """
     line, levels = estimate.state.walls[wall].copy(), estimate.state.levels
     by_levels, own = np.zeros(len(levels)), levels.of(wall)
@@ -419,8 +419,8 @@ def _owner_of(
 ) -> int | None:
     """Return the number of the nearest line to a span; of walls with levels the nearest that was measured there.
 
-    A wall of two parts with a gap between has two lines, of the mean level of each: a post of the one part may be
-    nearer to the line of the other. Between the parts the level is unknown, and a span belongs to none of them: None.
+    A wall of two parts with a wide gap between is two walls of the map, each with levels of its own: a post of the one
+    may be nearer to the line of the other. Between them the level is unknown, and a span belongs to none of them: None.
     A line without any echoes of its own is as well known as its posts.
     """
     ends = span.ends.reshape(2, 2)
@@ -481,19 +481,19 @@ class _Corner:
 
 
 def _with_ends(
-    pieces: list[Piece], lines: list[_Line], points: Floats, have_posts: bool = False
+    pieces: list[Piece], lines: list[_Line], points: Floats, surface_in: float
 ) -> tuple[list[Piece], list[_Line]]:
     """Return pieces with their ends at corners, points and other walls, and their lines, without those of no length.
 
     Both ends of a short piece across another wall move to where it crosses. It is no wall, and nothing ends at it.
-    Where walls have posts, a point on the line before a corner is no end of it.
+    Where walls have a surface, they have posts: a point on the line before a corner is no end of it.
     """
     while True:
         # 1. As if all of them were walls.
         found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
-        _join_corners(found, lines, points[:0] if have_posts else points)
+        _join_corners(found, lines, points[:0] if surface_in else points)
         _move_ends_to_points(found, lines, points)
-        _close_small_gaps(found, lines)
+        _close_small_gaps(found, lines, surface_in)
         # 2. Once more without those that are none.
         is_long = [
             float((piece.ends[1] - piece.ends[0]) @ line.along) >= MIN_LENGTH_IN
@@ -579,8 +579,12 @@ SMALL_GAP_IN: Final = 4.0
 """A gap that `nomad map check` reports, and that no robot passes."""
 
 
-def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
-    """Move ends that stop just before another wall onto it."""
+def _close_small_gaps(pieces: list[Piece], lines: list[_Line], surface_in: float) -> None:
+    """Move ends that stop just before another wall onto it.
+
+    The end of that one may be at the other part of a wall that it divides, whose surface stands out differently.
+    """
+    beyond_in = SMALL_GAP_IN + surface_in
     for piece, own in zip(pieces, lines, strict=True):
         for end in range(2):
             for other, line in zip(pieces, lines, strict=True):
@@ -593,7 +597,7 @@ def _close_small_gaps(pieces: list[Piece], lines: list[_Line]) -> None:
                     continue
                 place = piece.ends[end] - own.along * (distance / slope)
                 coordinate = float(place @ line.along)
-                if coordinates[0] - SMALL_GAP_IN < coordinate < coordinates[1] + SMALL_GAP_IN:
+                if coordinates[0] - beyond_in < coordinate < coordinates[1] + beyond_in:
                     piece.ends[end], piece.closed[end] = place, True
                     # Beyond the end of the other wall, that one reaches the same place.
                     nearest = int(np.abs(other.ends @ line.along - coordinate).argmin())

@@ -558,14 +558,14 @@ def test_a_drive_is_learned_again_where_the_map_is_poor_or_walls_have_levels(
     monkeypatch.setattr("localization.mapping.learn.MapLearner", Learner)
     monkeypatch.setattr("localization.mapping.learn._cost_by_readings", lambda learner: learner.estimate.cost)
     monkeypatch.setattr(Learner, "misfit", misfit)
-    turned: list[float] = []
-    monkeypatch.setattr("localization.mapping.learn.square_together", lambda estimate: turned.append(estimate.cost))
+    squared: list[float] = []
+    monkeypatch.setattr("localization.mapping.learn.square_together", lambda estimate: squared.append(estimate.cost))
     Learner.made.clear()
     Learner.adopted.clear()
     assert learn_map(drive(0), NOISE, sonar, roughness_in=roughness_in).cost == 1000.0 / best
     assert Learner.made == made
     # Of two maps the chosen one alone. It takes walls of the other one if it is of walls with levels.
-    assert turned == [1000.0 / best] * (len(made) - 1)
+    assert squared == [1000.0 / best] * (len(made) - 1)
     assert Learner.adopted == ([(1000.0 / 24, 1000.0 / 16)] if made == [16, 24] else [])
 
 

@@ -569,6 +569,51 @@ def test_measured_part_of_a_wall_moves_with_it() -> None:
     assert moved.high - moved.low == pytest.approx(18.0)
 
 
+@pytest.mark.parametrize("step_in", [0.0, 3.0, 5.0, -3.0, -5.0])
+def test_both_parts_of_a_wall_with_a_step_end_at_the_wall_that_divides_them(step_in: float) -> None:
+    x, y, nothing = np.array((1.0, 0.0)), np.array((0.0, 1.0)), np.zeros(0)
+    lines = [walls._Line(n, a, at, nothing, nothing) for n, a, at in ((y, x, 0.0), (y, x, step_in), (x, y, 0.0))]
+    spots = [(-50.0, -2.0), (2.0, 50.0), (7.0, 60.0)]
+    pieces = [
+        walls.Piece(wall, *spot, np.array((line.at(spot[0]), line.at(spot[1]))), [False, False], 9)
+        for wall, spot, line in zip((0, 0, 1), spots, lines, strict=True)
+    ]
+    left, right, inner = walls._with_ends(pieces, lines, np.zeros((0, 2)), 3.5)[0]
+    assert left.closed[1]
+    assert right.closed[0]
+    assert inner.closed[0]
+    np.testing.assert_allclose([left.ends[1], right.ends[0]], [(0.0, 0.0), (0.0, step_in)], atol=1e-9)
+    # The inner wall reaches at least the part that it meets first.
+    assert min(0.0, step_in) <= inner.ends[0, 1] <= max(0.0, step_in)
+
+
+def test_accuracy_of_parts_does_not_depend_on_their_order(estimate: MapEstimate) -> None:
+    found = with_levels(estimate)
+    weights, paths, levels = level_weights(found), free_paths(found), found.state.levels
+    own = levels.of(2)
+    low, high = LEVEL_CELL_IN * levels.cell[[own.start, own.stop - 1]] + (0.0, LEVEL_CELL_IN)
+    middle = 0.5 * (low + high)
+    whole = [(wall, *found.extents[wall].tolist()) for wall in (0, 1, 3)]
+    of_walls = [whole[0], whole[1], (2, float(low), float(middle)), (2, float(middle), float(high)), whole[2]]
+
+    def accuracy(order: Sequence[int]) -> list[tuple[float, ...]]:
+        rows = [of_walls[part] for part in order]
+        lines = [walls._line(found, wall, weights, paths, (first, last)) for wall, first, last in rows]
+        pieces = [
+            walls.Piece(wall, first, last, np.array((line.at(first), line.at(last))), [False, False], 9)
+            for (wall, first, last), line in zip(rows, lines, strict=True)
+        ]
+        pieces, lines = walls._with_ends(pieces, lines, found.state.points[:0], 3.5)
+        walls._add_accuracy(found, pieces, lines)
+        return [(piece.std_in, piece.std_rad, *(std or 0.0 for std in piece.end_stds_in)) for piece in pieces]
+
+    in_order = accuracy(range(5))
+    assert min(stds[0] for stds in in_order) > 0.01
+    assert sum(std > 0.0 for stds in in_order for std in stds[2:]) >= 4
+    order = (3, 0, 4, 2, 1)
+    np.testing.assert_allclose(accuracy(order), [in_order[part] for part in order], rtol=1e-6, atol=1e-9)
+
+
 def test_covariance_of_lines_is_that_of_all_unknowns_propagated(estimate: MapEstimate) -> None:
     """Oracle: derivatives of the lines as difference quotients, C' = J C J'."""
     found, h = with_levels(estimate), 1e-6
@@ -668,6 +713,9 @@ def test_what_leads_across_a_corner_is_no_wall(
     # A wall that ends in the corner is none across it, and planes have no posts.
     assert not spans.cut_corners(found, np.array([(-25.0, -17.0, -25.0, -25.0)])).any()
     assert not spans.cut_corners(estimate, ends).any()
+    # Of a wall that was measured from both sides no place is behind.
+    inner = replace(found, sides=np.zeros(4))
+    assert spans.cut_corners(inner, ends).tolist() == [cuts and abs(first[0] + 25.0) < 1.0]
     # Nor one from a wall that is shorter, such as a reveal.
     short = found.copy()
     short.extents = np.minimum(short.extents, short.extents[:, :1] + 10.0)
