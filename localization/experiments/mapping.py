@@ -477,8 +477,8 @@ def visible_samples(walls: Floats, path: Floats) -> list[Floats]:
     return found
 
 
-def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Floats:
-    """Return walls (m, 4), each shifted to the mean level of its surface beside parts (k, 2, 2) of a learned line."""
+def lines_beside(walls: Floats, surfaces: Surfaces | None, part: Floats | None = None) -> Floats:
+    """Return walls (m, 4), each shifted to the mean level of its surface, beside a learned part (2, 2) if given."""
     if surfaces is None:
         return walls
     found = []
@@ -486,9 +486,10 @@ def lines_beside(walls: Floats, surfaces: Surfaces | None, parts: Floats) -> Flo
         length = float(np.hypot(*(wall[2:] - wall[:2])))
         along = (wall[2:] - wall[:2]) / length
         at: Floats = (np.arange(max(int(length / SAMPLE_IN), 2), dtype=np.float64) + 0.5) * SAMPLE_IN
-        spans = np.sort((parts - wall[:2]) @ along, axis=1)
-        beside = at[((at[:, None] > spans[:, 0]) & (at[:, None] < spans[:, 1])).any(axis=1)]
-        at = beside if len(beside) * SAMPLE_IN >= MIN_BESIDE_IN else at
+        if part is not None:
+            low, high = np.sort((part - wall[:2]) @ along)
+            beside = at[(at > low) & (at < high)]
+            at = beside if len(beside) * SAMPLE_IN >= MIN_BESIDE_IN else at
         left = np.array((-along[1], along[0]))
         found.append(wall + np.tile(float(surfaces.of(wall).level_in(at).mean()) * left, 2))
     return np.array(found)
@@ -541,7 +542,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         z.append(offset / max(piece.std_in, 1e-6))
         is_closed = np.array(piece.closed)
         closed += [(number, lines[number], end) for end in learned[is_closed]]
-    others = lines_beside(walls, trial.surfaces, np.empty((0, 2, 2)))
+    others = lines_beside(walls, trial.surfaces)
     to_corners = [distance_to_corner(walls, others, placed, *end) for end in closed]
     total = sum(piece.length_in for piece in found.walls)
     return {
@@ -615,7 +616,7 @@ def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn:
     """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
     measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
     placed = (measurements.rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
-    beside = [lines_beside(walls, surfaces, part[None]) for part in placed]
+    beside = [lines_beside(walls, surfaces, part) for part in placed]
     return np.array(beside).reshape(len(placed), len(walls), 4)
 
 

@@ -234,7 +234,7 @@ def drop_hidden(estimate: MapEstimate) -> int:
     for wall in reversed(range(len(estimate.state.walls))):
         echoes = estimate.echoes_of(wall)
         _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
-        own = [piece for piece in extract_walls(estimate, with_accuracy=False) if piece.line == wall]
+        own = [piece for piece in extract_walls(estimate, with_accuracy=False) if piece.wall == wall]
         without = estimate.copy()
         without.remove(wall)
         pieces = extract_walls(without, with_accuracy=False)
@@ -310,7 +310,7 @@ def trim_surfaces(estimate: MapEstimate) -> int:
     pieces = extract_walls(estimate, with_accuracy=False)
     feature, walls = estimate.assignment.feature.copy(), estimate.state.walls
     for wall in range(len(walls)):
-        echoes, parts = estimate.echoes_of(wall), [piece for piece in pieces if piece.line == wall]
+        echoes, parts = estimate.echoes_of(wall), [piece for piece in pieces if piece.wall == wall]
         if not parts or not len(echoes):
             continue
         _, _, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)

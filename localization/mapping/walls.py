@@ -89,7 +89,7 @@ class Piece:
 
     Attributes
     ----------
-    line
+    wall
         Number of the wall of the map that it is, or is a part of.
     low, high
         Coordinates along the line of the outermost reflecting spots, or of the points of a span (`Span`).
@@ -109,7 +109,7 @@ class Piece:
         (k, 3) spots of its surface that were measured: x, y, and the standard deviation of the level, inches.
     """
 
-    line: int
+    wall: int
     low: float
     high: float
     ends: Floats
@@ -224,27 +224,27 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     """Return the walls of a map, in the frame of its first pose, the longest first; their accuracy if it matters."""
     # 1. Lines, and the paths that have crossed them.
     paths, weights = free_paths(estimate), level_weights(estimate)
-    lines = [_line(estimate, wall, weights, paths) for wall in range(len(estimate.state.walls))]
+    wall_lines = [_line(estimate, wall, weights, paths) for wall in range(len(estimate.state.walls))]
     # 2. Pieces.
     points = estimate.state.points
     spans = [span for span in uncrossed_spans(estimate, paths) if span.is_wall] + find_wall_ends(estimate, paths)
-    runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(lines)]
+    runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(wall_lines)]
     has_levels, near_in = estimate.surface_in > 0.0, POINT_ON_LINE_IN + estimate.surface_in
-    owners = [_owner_of(span, lines, runs_of, near_in, has_levels) for span in spans] if lines else []
-    pieces, own_lines = list[Piece](), list[_Line]()
-    for number, (line, runs) in enumerate(zip(lines, runs_of, strict=True)):
+    owners = [_owner_of(span, wall_lines, runs_of, near_in, has_levels) for span in spans] if wall_lines else []
+    pieces, piece_lines = list[Piece](), list[_Line]()
+    for number, (line, runs) in enumerate(zip(wall_lines, runs_of, strict=True)):
         own = [span for span, owner in zip(spans, owners, strict=True) if owner == number]
         for low, high, count in _with_spans(runs, line, own, near_in):
             within = [run for run in runs if run[0] < high and run[1] > low]
             spots = (min(run[0] for run in within), max(run[1] for run in within)) if within else (low, high)
-            own_lines.append(_line(estimate, number, weights, paths, spots) if has_levels and within else line)
-            places = np.array((own_lines[-1].at(low), own_lines[-1].at(high)))
+            piece_lines.append(_line(estimate, number, weights, paths, spots) if has_levels and within else line)
+            places = np.array((piece_lines[-1].at(low), piece_lines[-1].at(high)))
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
     # 3. Ends.
-    pieces, own_lines = _with_ends(pieces, own_lines, points, estimate.surface_in)
+    pieces, piece_lines = _with_ends(pieces, piece_lines, points, estimate.surface_in)
     if with_accuracy:
-        _add_accuracy(estimate, pieces, own_lines)
+        _add_accuracy(estimate, pieces, piece_lines)
         _add_surfaces(estimate, pieces)
     return sorted(pieces, key=lambda piece: -piece.length_in)
 
@@ -303,12 +303,12 @@ def passed_walls(estimate: MapEstimate, pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def unpassed_gaps(estimate: MapEstimate, pieces: Sequence[Piece]) -> Floats:
-    """Return the gaps (g, 4) between neighbouring pieces of a line, at most a door wide, that no path has crossed."""
-    rows = sorted(pieces, key=lambda piece: (piece.line, piece.low))
+    """Return the gaps (g, 4) between neighbouring pieces of a wall, at most a door wide, that no path has crossed."""
+    rows = sorted(pieces, key=lambda piece: (piece.wall, piece.low))
     # A gap whose ends corners have moved past one another is reversed, which matters to no crossing.
     gaps = [
         np.concatenate((one.ends[1], other.ends[0]))
-        for one, other in pairwise(rows) if one.line == other.line and 0.0 < other.low - one.high < MAX_DOOR_IN
+        for one, other in pairwise(rows) if one.wall == other.wall and 0.0 < other.low - one.high < MAX_DOOR_IN
     ]  # fmt: skip
     segments = np.array(gaps).reshape(-1, 4)
     found: Floats = segments[crossings(*free_paths(estimate), segments).sum(axis=0) < MIN_CROSSINGS]
@@ -708,7 +708,7 @@ def _is_entered(corners: Floats, paths: tuple[Floats, Floats]) -> bool:
 
 def _is_outside(estimate: MapEstimate, piece: Piece, corners: Floats) -> bool:
     """Return True if the sonars that measured a wall were on the other side of it than the middle of a box (4, 2)."""
-    state, echoes = estimate.state, estimate.echoes_of(piece.line)
+    state, echoes = estimate.state, estimate.echoes_of(piece.wall)
     face = sensors_at(state.poses, state.parameters, estimate.problem.trajectory, echoes).face
     along = (piece.ends[1] - piece.ends[0]) / piece.length_in
     normal, at = np.array((-along[1], along[0])), (face - piece.ends[0]) @ along
@@ -779,10 +779,10 @@ def _add_surfaces(estimate: MapEstimate, pieces: list[Piece]) -> None:
     counts = np.bincount(echoes[echoes != NO_LEVEL], minlength=len(levels))
     stds = np.sqrt(estimate.problem.level_variances(levels, estimate.assignment)) if len(levels) else levels.var_in2
     for piece in pieces:
-        own = levels.of(piece.line)
+        own = levels.of(piece.wall)
         at = LEVEL_CELL_IN * (levels.cell[own] + 0.5)
         is_of_piece = (at > piece.low - SPOT_REACH_IN) & (at < piece.high + SPOT_REACH_IN) & (counts[own] > 0)
-        spots = np.column_stack((estimate.state.surface(piece.line), stds[own]))
+        spots = np.column_stack((estimate.state.surface(piece.wall), stds[own]))
         piece.surface = spots[is_of_piece]
 
 
@@ -825,7 +825,7 @@ def _covariance_of_lines(estimate: MapEstimate, pieces: Sequence[Piece], lines: 
     first_level = len(covariance) - len(state.levels)
     for number, (piece, line) in enumerate(zip(pieces, lines, strict=True)):
         own = slice(WALL * number, WALL * (number + 1))
-        J[own, WALL * piece.line : WALL * (piece.line + 1)] = np.eye(WALL)
+        J[own, WALL * piece.wall : WALL * (piece.wall + 1)] = np.eye(WALL)
         J[own.stop - 1, first_level:] = line.by_levels
     J[WALL * len(pieces) :, WALL * len(state.walls) :][:, : state.points.size] = np.eye(state.points.size)
     found: Floats = J @ covariance @ J.T

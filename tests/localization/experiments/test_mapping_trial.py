@@ -219,9 +219,9 @@ def test_true_wall_of_a_surface_is_its_best_straight_line() -> None:
     trial = Trial("thesis_room", "building", 3)
     walls, surfaces = load_world("thesis_room").walls, trial.surfaces
     assert surfaces is not None
-    assert lines_beside(walls, None, np.zeros((1, 2, 2))) is walls
+    assert lines_beside(walls, None, np.zeros((2, 2))) is walls
     # Beside a part of the wall at the bottom, from x = 20 to 80: the mean of its surface there, 10 places to an inch.
-    lines = lines_beside(walls, surfaces, np.array([[[80.0, -9.0], [20.0, -9.0]]]))
+    lines = lines_beside(walls, surfaces, np.array([[80.0, -9.0], [20.0, -9.0]]))
     low = int(np.argmin(walls[:, 1] + walls[:, 3]))
     x1, y1, x2, y2 = walls[low]
     x = np.arange(20.05, 80.0, 0.1)

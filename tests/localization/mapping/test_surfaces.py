@@ -199,7 +199,7 @@ def test_echoes_from_where_a_line_has_no_wall_are_left_out(
     made = replace(estimate, problem=MapProblem(problem.trajectory, 16, reflection=reflection))
     made.associate()
     pieces = extract_walls(made, with_accuracy=False)
-    (piece,) = (piece for piece in pieces if piece.line == 0)
+    (piece,) = (piece for piece in pieces if piece.wall == 0)
     half = replace(piece, high=0.5 * (piece.low + piece.high))
     monkeypatch.setattr(revision, "extract_walls", lambda *_, **__: [half])
     echoes, angle = made.echoes_of(0), made.state.walls[0, 0]

@@ -256,7 +256,7 @@ def test_two_spots_between_posts_make_no_wall_across_a_door(
     feet = np.stack((measured, np.full(len(measured), -25.0)), axis=-1) @ (-np.sin(angle), np.cos(angle))
     monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == south else measured_feet(of, wall))
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
-    assert sum(piece.line == south for piece in extract_walls(found)) == pieces
+    assert sum(piece.wall == south for piece in extract_walls(found)) == pieces
 
 
 def test_wall_behind_which_something_was_measured_is_passed(estimate: MapEstimate) -> None:
@@ -478,7 +478,7 @@ def test_parts_of_a_wall_with_a_step_have_lines_of_their_own(estimate: MapEstima
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walls, "_clear_feet", lambda _, wall: feet if wall == south else np.zeros(0))
         patch.setattr(walls, "MAX_GAP_IN", 8.0)
-        pieces = [piece for piece in extract_walls(found) if piece.line == south]
+        pieces = [piece for piece in extract_walls(found) if piece.wall == south]
     assert len(pieces) == 2
     for piece, level in zip(sorted(pieces, key=lambda piece: piece.ends[:, 0].min()), (0.0, 4.0), strict=True):
         np.testing.assert_allclose(piece.measured_ends @ (np.cos(angle), np.sin(angle)), offset + level, atol=1e-9)
@@ -496,7 +496,7 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(
     monkeypatch.setattr(MapProblem, "level_variances", lambda *_: np.full(16, 0.09))
     angle, offset = found.state.walls[0]
     n, u = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
-    pieces = [piece for piece in extract_walls(found) if piece.line == 0]
+    pieces = [piece for piece in extract_walls(found) if piece.wall == 0]
     spots = np.concatenate([piece.surface for piece in pieces])
     assert len(spots)
     expected = {
@@ -508,7 +508,7 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(
         assert std_in == pytest.approx(0.3)
     # In the frame of the map they are turned with the wall: as far along it and beside it.
     learned = describe(found)
-    turned = [wall for wall in (*learned.walls, *learned.uncertain) if wall.line == 0]
+    turned = [wall for wall in (*learned.walls, *learned.uncertain) if wall.wall == 0]
     for wall, piece in zip(turned, pieces, strict=True):
         coordinates = []
         for ends, surface in ((wall.ends, wall.surface), (piece.ends, piece.surface)):
@@ -1020,7 +1020,7 @@ def test_ends_of_thick_walls_are_walls_of_the_map(estimate: MapEstimate) -> None
     assert len(made.state.walls) == first + 3
     assert {(points, first + 2), (points + 1, first + 2)} <= set(map(tuple, made.assignment.ties.tolist()))
     np.testing.assert_allclose(np.abs(np.sin(made.state.walls[-1, 0])), 1.0, rtol=1e-4)
-    pieces = [piece for piece in extract_walls(made, with_accuracy=False) if piece.line == first + 2]
+    pieces = [piece for piece in extract_walls(made, with_accuracy=False) if piece.wall == first + 2]
     corners = made.state.points[points:]
     np.testing.assert_allclose([np.sort(piece.ends, axis=0) for piece in pieces], [corners], atol=0.05)
     angle = made.state.walls[-1, 0]
