@@ -228,7 +228,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
     # 2. Pieces.
     points = estimate.state.points
     spans = [span for span in uncrossed_spans(estimate, paths) if span.is_wall] + find_wall_ends(estimate, paths)
-    runs_of = [_pieces(line, np.sort(_clear_feet(estimate, number)), points) for number, line in enumerate(wall_lines)]
+    runs_of = [_pieces(line, *_feet(estimate, number), points) for number, line in enumerate(wall_lines)]
     has_levels, near_in = estimate.surface_in > 0.0, POINT_ON_LINE_IN + estimate.surface_in
     owners = [_owner_of(span, wall_lines, runs_of, near_in, has_levels) for span in spans] if wall_lines else []
     pieces, piece_lines = list[Piece](), list[_Line]()
@@ -325,16 +325,20 @@ def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offs
     return crossed
 
 
-def _clear_feet(estimate: MapEstimate, wall: int) -> Floats:
-    """Return the coordinates along a wall of the spots on it, without those that a point explains."""
+def _feet(estimate: MapEstimate, wall: int) -> tuple[Floats, Floats]:
+    """Return the coordinates (n,) along a wall of the spots on it that no point explains, and (k,) of all others on it.
+
+    The others are of walls with levels alone: their surfaces have posts, and beside one of these an echo may be of
+    either. On a plane it is of the point.
+    """
     state, echoes = estimate.state, estimate.echoes_of(wall)
     residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     walls = len(state.walls)
-    own = np.abs(residual[:, wall])
-    by_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf)
-    clear = (own < ROBUST_LIMIT) & ~(by_point < ALONE_SIGMAS)
+    fits = np.abs(residual[:, wall]) < ROBUST_LIMIT
+    is_of_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf) < ALONE_SIGMAS
     angle = state.walls[wall, 0]
-    return np.asarray(spots[clear, wall] @ np.array((-np.sin(angle), np.cos(angle))), dtype=np.float64)
+    feet: Floats = spots[:, wall] @ np.array((-np.sin(angle), np.cos(angle)))
+    return np.sort(feet[fits & ~is_of_point]), feet[fits & is_of_point & (estimate.surface_in > 0.0)]
 
 
 def level_weights(estimate: MapEstimate) -> Floats:
@@ -382,12 +386,13 @@ def surface_line(
     return line, by_levels
 
 
-def _pieces(line: _Line, feet: Floats, points: Floats) -> list[tuple[float, float, int]]:
-    """Return runs of feet (sorted): low, high, number."""
+def _pieces(line: _Line, feet: Floats, others: Floats, points: Floats) -> list[tuple[float, float, int]]:
+    """Return runs of feet (sorted): low, high, number. Others (k,) lie between them: they fill gaps, and end no run."""
     at = np.sort(points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along)
     feet = _without_strays(feet, at)
     if len(feet) < MIN_SPOTS:
         return []
+    feet = np.sort(np.concatenate((feet, others[(others > feet[0]) & (others < feet[-1])])))
     gaps = np.diff(feet)
     is_cut = [
         gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN))

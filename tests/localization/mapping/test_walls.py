@@ -72,14 +72,15 @@ def test_short_piece_across_a_wall_is_none(
     estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, half_in: float
 ) -> None:
     # 5 and 7 in at 40 degrees across the wall at x = 95: both of its ends are nearer to that than SMALL_GAP_IN.
-    found, angle, measured_feet = estimate.copy(), 0.7, walls._clear_feet
+    found, angle, measured_feet = estimate.copy(), 0.7, walls._feet
     place = np.array((95.0, 20.0))
     middle = float(place @ (-np.sin(angle), np.cos(angle)))
     found.add_wall(
         np.array((angle, place @ (np.cos(angle), np.sin(angle)))), np.array((middle - half_in, middle + half_in))
     )
     short, feet = len(estimate.state.walls), np.linspace(middle - half_in, middle + half_in, 8)
-    monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == short else measured_feet(of, wall))
+    clear = feet, np.zeros(0)
+    monkeypatch.setattr(walls, "_feet", lambda of, wall: clear if wall == short else measured_feet(of, wall))
     # Nothing ends at it either.
     before, after = ([piece.ends for piece in extract_walls(each)] for each in (estimate, found))
     np.testing.assert_array_equal(after, before)
@@ -247,14 +248,15 @@ def test_two_spots_between_posts_make_no_wall_across_a_door(
     estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch, spots: tuple[float, ...], pieces: int
 ) -> None:
     # The wall at y = -25 with the posts of a door at x = 10 and 45: no gap between the spots is wider than 20 in.
-    found, measured_feet = estimate.copy(), walls._clear_feet
+    found, measured_feet = estimate.copy(), walls._feet
     south = int(np.argmax(pass_through(estimate.state.walls, np.array([[0.0, -25.0, 40.0, -25.0]]), 2.0)[:, 0]))
     for x in (10.0, 45.0):
         found.add_point(np.array((x, -25.0)))
     angle = float(found.state.walls[south, 0])
     measured = np.concatenate((np.linspace(-20.0, 9.0, 15), spots, np.linspace(46.0, 90.0, 20)))
     feet = np.stack((measured, np.full(len(measured), -25.0)), axis=-1) @ (-np.sin(angle), np.cos(angle))
-    monkeypatch.setattr(walls, "_clear_feet", lambda of, wall: feet if wall == south else measured_feet(of, wall))
+    clear = np.sort(feet), np.zeros(0)
+    monkeypatch.setattr(walls, "_feet", lambda of, wall: clear if wall == south else measured_feet(of, wall))
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
     assert sum(piece.wall == south for piece in extract_walls(found)) == pieces
 
@@ -476,7 +478,7 @@ def test_parts_of_a_wall_with_a_step_have_lines_of_their_own(estimate: MapEstima
     found.state = replace(found.state, levels=replace(found.state.levels, value_in=values))
     feet = np.sort(-np.sin(angle) * np.concatenate((np.arange(0.0, 34.0, 2.0), np.arange(46.0, 80.0, 2.0))))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(walls, "_clear_feet", lambda _, wall: feet if wall == south else np.zeros(0))
+        patch.setattr(walls, "_feet", lambda _, wall: (feet if wall == south else np.zeros(0), np.zeros(0)))
         patch.setattr(walls, "MAX_GAP_IN", 8.0)
         pieces = [piece for piece in extract_walls(found) if piece.wall == south]
     assert len(pieces) == 2
@@ -908,6 +910,24 @@ def test_posts_stay_on_a_wall_with_levels(opened: MapEstimate) -> None:
     # What the wall explains as well is tried without them.
     assert len(revision._with_wall(made, line, extent, 5.0).state.points) == 6
     assert len(revision._with_wall(made, line, extent, 0.5).state.points) == 7
+
+
+def test_spots_at_posts_on_a_surface_fill_gaps(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Posts along a part of the wall at y = -25 explain its echoes as well: of a plane those are theirs."""
+    south = int(np.abs(np.sin(estimate.state.walls[:, 0]) * estimate.state.walls[:, 1] + 25.0).argmin())
+    monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
+    posts = [(x, -25.0) for x in range(15, 55, 5)]
+    for made, parts in ((estimate.copy(), 2), (with_levels(estimate), 1)):
+        made.state = replace(made.state, points=np.concatenate((made.state.points, posts)))
+        assert sum(piece.wall == south for piece in extract_walls(made)) == parts
+
+
+def test_spots_at_posts_on_a_surface_end_no_wall() -> None:
+    line = walls._Line(np.array((0.0, 1.0)), np.array((1.0, 0.0)), 0.0, np.zeros(0), crossed=np.zeros(0))
+    feet, others = np.concatenate((np.arange(20.0, 31.0), np.arange(60.0, 71.0))), np.arange(0.0, 100.0, 5.0)
+    assert len(walls._pieces(line, feet, np.zeros(0), np.zeros((0, 2)))) == 2
+    ((low, high, count),) = walls._pieces(line, feet, others, np.zeros((0, 2)))
+    assert (low, high, count) == (20.0, 70.0, len(feet) + 9)
 
 
 def test_parts_of_a_surface_with_a_gap_are_walls_of_their_own(estimate: MapEstimate) -> None:
