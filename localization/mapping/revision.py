@@ -1,6 +1,7 @@
 """Revision of a map: each change down to `square` is tried, optimized and reverted unless the total cost falls.
 
     prune    a feature without which the echoes cost less than PENALTY more is removed
+    chance   a wall through parts of others, whose echoes suit it by their noise, is removed
     part     a point that looks different from two sides, or since a return, becomes two
     posts    points on the surface of a wall, or in a corner of two, whose echoes the walls had explained
     release  echoes of a level that other features explain nearly as well become theirs
@@ -71,6 +72,8 @@ SHORT_IN: Final = 40.0
 of a wall of which 70 in were measured cost as little."""
 MIN_SLANTED_GAIN: Final = 20.0
 """Cost of ranges that a slanted wall must save: in 72 maps of 36 drives the true ones saved 31 or more."""
+MAX_EXPLAINED: Final = 0.5
+"""Fraction of a wall's echoes that other walls may explain as well before the map is tried without it."""
 MIN_TURN_GAIN: Final = 1.0
 """Cost of its stretches that a turn must save to be tried."""
 SWALLOW_IN: Final = 40.0
@@ -155,6 +158,28 @@ def _losses(estimate: MapEstimate, first_node: int) -> Floats:
         _, then = assign(without, echoes_of[feature])
         losses[feature] = then.sum() - now.sum()
     return losses
+
+
+def drop_chance_walls(estimate: MapEstimate) -> int:
+    """Remove walls most of whose echoes other walls explain as well where the total cost falls; return their number.
+
+    A line that leads through parts of two walls takes from each the echoes whose noise suits it. Single echoes do not
+    show what the map costs without it (`prune`): the other walls have turned away from those that they have lost.
+    """
+    dropped = 0
+    for wall in reversed(range(len(estimate.state.walls))):
+        echoes = estimate.echoes_of(wall)
+        residual, _, _ = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        of_others = np.isfinite(np.delete(residual[:, : len(estimate.state.walls)], wall, axis=1)).any(axis=1)
+        if not len(echoes) or of_others.mean() <= MAX_EXPLAINED:
+            continue
+        trial = estimate.copy()
+        trial.remove(wall)
+        _settle(trial)
+        if trial.cost < estimate.cost:
+            estimate.replace_by(trial)
+            dropped += 1
+    return dropped
 
 
 def part_points(estimate: MapEstimate) -> int:

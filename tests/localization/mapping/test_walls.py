@@ -520,6 +520,25 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(
         assert wall.accuracy.surface == tuple(SurfaceSpot(*spot) for spot in np.round(wall.surface, 3).tolist())
 
 
+@pytest.mark.parametrize("slope_deg", [2.0, 4.0])
+def test_wall_of_echoes_that_others_explain_is_none(estimate: MapEstimate, slope_deg: float) -> None:
+    found, walls_before = estimate.copy(), len(estimate.state.walls)
+    assert revision.drop_chance_walls(found) == 0
+    # Through the middle of the wall at y = -25, whose echoes are within the noise of both lines.
+    angle = -0.5 * np.pi + radians(slope_deg)
+    normal = np.array((np.cos(angle), np.sin(angle)))
+    middle = np.array((35.0, -25.0))
+    at = float(middle @ (-normal[1], normal[0]))
+    found.add_wall(np.array((angle, middle @ normal)), np.array((at - 15.0, at + 15.0)))
+    found.associate()
+    found.optimize()
+    found.associate()
+    assert len(found.echoes_of(walls_before)) > 5
+    assert revision.drop_chance_walls(found) == 1
+    assert len(found.state.walls) == walls_before
+    assert found.cost == pytest.approx(estimate.cost, abs=1.0)
+
+
 def test_slanted_walls_must_show_in_the_ranges(estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     """A wall across a corner, 45 and 20 in from it, takes some echoes of both walls; without it these explain them."""
     slanted = np.array(((-25.0, 30.0), (-5.0, 75.0)))
