@@ -36,7 +36,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
-from localization.mapping.live import LiveMapper, passed, walls_and_posts
+from localization.mapping.live import LiveMapper, passed, walls_and_posts, within_ends
 from localization.mapping.problem import NO_FEATURE, sensors_at
 from localization.mapping.spans import POINT_ON_LINE_IN, pass_through, uncrossed_spans
 from localization.mapping.survey import REVERSE_RAD, Geofence, Plan, Point
@@ -245,19 +245,20 @@ class _Finished:
     def __init__(self, estimate: MapEstimate) -> None:
         self.estimate: MapEstimate | None = estimate
         self.recent: MapEstimate | None = None
-        self.poses, self.walls = estimate.state.poses, walls_and_posts(estimate)
+        self.poses, self.pieces = estimate.state.poses, extract_walls(estimate, with_accuracy=False)
+        self.walls = walls_and_posts(within_ends(estimate, self.pieces))
 
 
 class _Solution:
     """Results of a solution of the map, computed once: walls, paths of sound, and places that depend on it alone."""
 
-    def __init__(self, estimate: MapEstimate | None = None) -> None:
-        self.estimate = estimate
+    def __init__(self, mapper: LiveMapper | _Finished | None = None) -> None:
+        self.estimate = None if mapper is None else mapper.estimate
         self.pieces: list[Piece] = []
         self.paths: tuple[Floats, Floats] = np.zeros((0, 2)), np.zeros((0, 2))
         self.places: list[Place] | None = None
-        if estimate is not None:
-            self.pieces, self.paths = extract_walls(estimate, with_accuracy=False), free_paths(estimate)
+        if mapper is not None and mapper.estimate is not None:
+            self.pieces, self.paths = mapper.pieces, free_paths(mapper.estimate)
 
 
 class Explorer:
@@ -465,7 +466,7 @@ class Explorer:
         """Return the grid of the map as it is."""
         # Walls as far as they were seen, and as far as their corners.
         if self._solution.estimate is not mapper.estimate:
-            self._solution = _Solution(mapper.estimate)
+            self._solution = _Solution(mapper)
         ends = np.array([piece.ends.reshape(4) for piece in self._solution.pieces]).reshape(-1, 4)
         positions = mapper.poses[:, :2]
         walls = passed(np.concatenate((mapper.walls, ends)), positions, self._body_in - PASSED_IN)

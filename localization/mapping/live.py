@@ -15,7 +15,9 @@ Kaess et al., Concurrent Filtering and Smoothing (2012): a short smoother for th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -40,6 +42,7 @@ from localization.mapping.measurements import (
 )
 from localization.mapping.problem import NO_FEATURE, Assignment, MapProblem
 from localization.mapping.reflectors import segments_of, sides_of
+from localization.mapping.walls import Piece, extract_walls
 from nclient.state import RobotState
 
 WHOLE_ROUNDS, WHOLE_NODES = 4, 600
@@ -94,6 +97,10 @@ class LiveMapper:
         self._encoders, self._steps = np.zeros(POSE), Steps()
         self._tracked = self._challenged_nodes = 0
         self._judged: MapEstimate | None = None
+        # The estimate whose walls were extracted, these, and the map as far as they reach.
+        self._extracted: MapEstimate | None = None
+        self._pieces: list[Piece] = []
+        self._within: MapEstimate | None = None
         self._is_sound = False
         if collector.has_drive:
             self._go_on()
@@ -135,20 +142,32 @@ class LiveMapper:
         return pose
 
     @property
+    def pieces(self) -> list[Piece]:
+        """The walls of the last solution, with their ends, without their accuracy."""
+        self._extract()
+        return self._pieces
+
+    def _extract(self) -> MapEstimate | None:
+        """Return the last solution as far as its walls reach."""
+        if self._extracted is not self.estimate and self.estimate is not None:
+            self._pieces = extract_walls(self.estimate, with_accuracy=False)
+            self._within = within_ends(self.estimate, self._pieces)
+            self._extracted = self.estimate
+        return self._within
+
+    @property
     def walls(self) -> Floats:
         """Measured parts (w, 4) of walls, and points as short ones."""
-        if self.estimate is None:
-            return np.zeros((0, 4))
-        return walls_and_posts(self.estimate)
+        within = self._extract()
+        return np.zeros((0, 4)) if within is None else walls_and_posts(within)
 
     def walls_facing(self, place: Floats) -> Floats:
         """Return those (n, 4) of `walls` that were measured from the side on which a place (2,) is, and points.
 
         Others may be the far faces of thick walls.
         """
-        if self.estimate is None:
-            return np.zeros((0, 4))
-        return walls_and_posts(self.estimate, place)
+        within = self._extract()
+        return np.zeros((0, 4)) if within is None else walls_and_posts(within, place)
 
     @property
     def is_sound(self) -> bool:
@@ -238,7 +257,7 @@ class LiveMapper:
         self.solve()
         assert self.estimate is not None
         revise(self.estimate)
-        self._judged = None
+        self._judged = self._extracted = None
         self._poses = self.estimate.state.poses
 
     def _challenged(self, estimate: MapEstimate, log: DriveLog) -> MapEstimate:
@@ -278,6 +297,33 @@ def walls_and_posts(estimate: MapEstimate, place: Floats | None = None) -> Float
         segments_of(walls[whole], estimate.extents[whole]),
         np.concatenate((points - half, points + half), axis=1).reshape(-1, 4),
     ))  # fmt: skip
+
+
+def within_ends(estimate: MapEstimate, pieces: Sequence[Piece]) -> MapEstimate:
+    """Return a map whose walls were measured no farther than ends that are closed, and not between two of these.
+
+    Echoes of the posts of an opening seem to come from the wall beside it, up to 20 in beyond its end: a robot would
+    not fit through an opening of 40 in.
+    """
+    parts = list[tuple[int, float, float]]()
+    for number, low, high in estimate.runs.tolist():
+        wall = int(number)
+        along = np.array((-np.sin(estimate.state.walls[wall, 0]), np.cos(estimate.state.walls[wall, 0])))
+        own = sorted((piece for piece in pieces if piece.wall == wall and piece.low < high and piece.high > low),
+                     key=lambda piece: piece.low)  # fmt: skip
+        ends = [(piece.ends @ along).tolist() for piece in own]
+        # 1. Where each part ends, by turns: the run, less what is open between closed ends.
+        at = [max(low, ends[0][0]) if own and own[0].closed[0] else low]
+        for (one, one_ends), (other, other_ends) in pairwise(zip(own, ends, strict=True)):
+            if one.closed[1] and other.closed[0]:
+                at += [one_ends[1], other_ends[0]]
+        at.append(min(high, ends[-1][1]) if own and own[-1].closed[1] else high)
+        # 2. Without parts of no length, but all of them: a wall without parts would be known all along its line.
+        kept = [(wall, first, last) for first, last in zip(at[::2], at[1::2], strict=True) if first < last]
+        parts += kept or [(wall, low, high)]
+    within = estimate.copy()
+    within.runs = np.array(parts, dtype=np.float64).reshape(-1, 3)
+    return within
 
 
 def passed(walls: Floats, path: Floats, radius_in: float) -> Floats:
