@@ -32,6 +32,7 @@ from localization.filters.health import FilterHealth, HealthLimits, IntegrityMon
 from localization.filters.odometry import Lag, OdometryNoise, Prediction, predict_state
 from localization.filters.sonar_cone import ConeModel
 from localization.filters.sonar_ray import Observation
+from localization.filters.surface import SurfaceModel
 from localization.filters.update import OUTLIERS, MeasurementUpdate, Outcome, Refusal, UpdateResult
 
 READING: Final = 2
@@ -128,7 +129,9 @@ class KalmanFilter(Filter):
         self._informative = update.INFORMATIVE_IN_CLUTTER if has_levels else update.INFORMATIVE
         self._count_of = update.count_along_axis if has_levels else update.count_used
         model, has_limit = measurement.model, limits.heading_nats < inf
-        self._headings = HeadingTest(model) if isinstance(model, ConeModel) and has_limit else None
+        surfaces = model if isinstance(model, SurfaceModel) else None
+        cone = surfaces.cone if surfaces else model
+        self._headings = HeadingTest(cone, surfaces) if isinstance(cone, ConeModel) and has_limit else None
         """The test of the heading; None for rays, whose ranges depend on it."""
 
     @property

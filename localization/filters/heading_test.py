@@ -14,6 +14,10 @@ But the heading decides which reflectors are detected:
 
 Something that the map does not have agrees with no heading, and what else was measured contradicts it.
 
+Among walls with surfaces a reading is compared with the learned level of the spot that it comes from, and with any
+level (`SurfaceModel.densities`). Their cones are wide: a wrong heading shows when the robot drives, and readings at its
+sides are of other walls than expected. Without the test the filter was lost after a turn in 3 of 120 simulated drives.
+
 References
 ----------
 Basseville, Nikiforov, Detection of Abrupt Changes (1993), sections 2.4 and 7.2: the generalized likelihood ratio.
@@ -23,16 +27,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import ceil, pi, sqrt
+from math import ceil, hypot, pi, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from localization.filters.base import EncoderRow, NewEcho
-from localization.filters.belief import HEADING, POSE, Floats, unit_vector
+from localization.filters.belief import HEADING, POSE, Floats, unit_vector, wrap_angle
 from localization.filters.odometry import pose_at
-from localization.filters.sonar_cone import ConeModel, expected_echoes
-from localization.filters.update import expected_reading, kalman_gain
+from localization.filters.sonar_cone import ConeModel, arm_of, expected_echoes
+from localization.filters.surface import SurfaceModel, normal_density
+from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, expected_reading, kalman_gain
 from worlds.rings import SonarMount
 
 READINGS: Final = 24
@@ -66,10 +71,12 @@ class HeadingTest:
     ----------
     model
         The measurement model.
+    surfaces
+        The same with the surfaces of walls, where they have some.
     """
 
-    def __init__(self, model: ConeModel) -> None:
-        self._model = model
+    def __init__(self, model: ConeModel, surfaces: SurfaceModel | None = None) -> None:
+        self._model, self._surfaces = model, surfaces
         self._rings: deque[tuple[Sequence[EncoderRow], Sequence[NewEcho]]] = deque(maxlen=READINGS)
         self._wait = 0
 
@@ -95,7 +102,7 @@ class HeadingTest:
         steps = ceil(min(MAX_SIGMAS * sqrt(variance), pi) / STEP_RAD)
         turns = np.arange(-steps, steps + 1, dtype=np.float64) * STEP_RAD
         # 1. Log likelihood ratio of each reading to that at the mean, (k, d).
-        logs = np.log(likelihoods(np.array(x), np.array(P), turns, encoders, readings, self._model))
+        logs = np.log(likelihoods(np.array(x), np.array(P), turns, encoders, readings, self._model, self._surfaces))
         ratios = logs - logs[:, steps, None]
         # 2. E(d): the sum since the most likely instant, and the prior.
         evidence = np.maximum(ratios[::-1].cumsum(axis=0).max(axis=0), 0.0) - 0.5 * turns**2 / variance
@@ -108,20 +115,33 @@ class HeadingTest:
         self._wait = 0
 
     def _recent(self) -> list[FiredAt]:
-        """Return the last READINGS ranges, in order of time."""
+        """Return the last READINGS ranges, in order of time.
+
+        Among walls with surfaces without those that another one repeats later: a thing that is not on the map is
+        measured again and again by a robot whose base turns below its turret, and says each time the same.
+        """
         noise = self._model.noise
         readings: list[FiredAt] = []
         for poses, echoes in reversed(self._rings):
             for instant_s, sonar, reading_in in reversed(echoes):
                 if noise.lowest_in < reading_in < noise.highest_in:
-                    readings.append(FiredAt(pose_at(poses, instant_s), int(sonar), reading_in))
+                    reading = FiredAt(pose_at(poses, instant_s), int(sonar), reading_in)
+                    if self._surfaces is None or not any(self._repeats(reading, later) for later in readings):
+                        readings.append(reading)
             if len(readings) >= READINGS:
                 break
         return readings[READINGS - 1 :: -1]
 
+    def _repeats(self, one: FiredAt, other: FiredAt) -> bool:
+        """Return True for readings from one place along one axis, by the encoders."""
+        (x, y, _, turret), (other_x, other_y, _, other_turret) = one.encoders, other.encoders
+        turned_rad = turret + self._model.mounts[one.sonar][0] - other_turret - self._model.mounts[other.sonar][0]
+        is_here = hypot(x - other_x, y - other_y) <= SAME_POSE_IN
+        return is_here and bool(abs(wrap_angle(turned_rad)) <= SAME_POSE_RAD)
+
 
 def likelihoods(x: Floats, P: Floats, turns: Floats, encoders: Encoders, readings: Sequence[FiredAt],
-                model: ConeModel) -> Floats:
+                model: ConeModel, surfaces: SurfaceModel | None = None) -> Floats:
     """Return the density (k, d) per inch of each of k readings, if the heading is off by each of `turns` (d,).
 
     It is that of `update.association_probabilities`, in arrays.
@@ -132,6 +152,8 @@ def likelihoods(x: Floats, P: Floats, turns: Floats, encoders: Encoders, reading
         The belief (n,) and (n, n).
     encoders
         Where the encoders are, at the belief.
+    surfaces
+        The model of the walls' surfaces, where they have some.
     """
     # 1. x + K d and P - K P_hh K^T, the heading uncertain by a step.
     variance = P[HEADING, HEADING]
@@ -148,14 +170,21 @@ def likelihoods(x: Floats, P: Floats, turns: Floats, encoders: Encoders, reading
     around = model.around.within(x[0], x[1], noise.highest_in + 2.0 * travel_in)
     echoes = expected_echoes(poses, np.array(sqrt(cell)), SonarMount(0.0, ring_in, left_in), around, noise)
     probability = np.where(echoes.ranges_in < noise.highest_in, echoes.probability, 0.0)
-    which = probability.any(axis=(0, 1))
+    which = np.asarray(probability.any(axis=(0, 1)), dtype=np.bool_)
     ranges, probability = echoes.ranges_in[..., which], probability[..., which]
     columns, H = [part[:, None] for part in states.T], list(np.moveaxis(echoes.H[..., which, :], -1, 0))
     expected, H = expected_reading(columns, ranges, H, model.range_parameters)
     _, S = kalman_gain(P.tolist(), H, noise.variance(ranges))
     # 4. Each reflector by its probability, or an outlier.
     innovation = np.array([reading.reading_in for reading in readings])[:, None, None] - expected
-    density = np.exp(-0.5 * innovation**2 / S) / np.sqrt(2.0 * pi * S)
+    if surfaces is None:
+        density = normal_density(innovation, S)
+    else:
+        axis_x, axis_y = np.cos(poses[..., HEADING]), np.sin(poses[..., HEADING])
+        arm_x, arm_y = arm_of(SonarMount(0.0, ring_in[..., 0], left_in[..., 0]), axis_x, axis_y)
+        walls, vertices = np.split(which, [len(around.walls)])
+        seen = around.some(walls, vertices)
+        density = surfaces.densities(innovation, S, seen, poses[..., 0] + arm_x, poses[..., 1] + arm_y)
     inlier = 1.0 - noise.outlier_probability
     outlier = noise.outlier_density * (1.0 - inlier * probability.sum(axis=-1))
     return np.asarray(inlier * (probability * density).sum(axis=-1) + outlier, dtype=np.float64)

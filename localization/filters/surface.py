@@ -41,7 +41,7 @@ import numpy as np
 
 from localization.filters import update
 from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
-from localization.filters.sonar_cone import ConeModel, arm_of, detectable, to_wall
+from localization.filters.sonar_cone import ConeModel, Reflectors, arm_of, detectable, to_wall
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Association, Covariance, MeasurementUpdate, State, UpdateResult
 from worlds.world import SPOT_REACH_IN, SurfaceSpot
@@ -57,6 +57,12 @@ AS_LEARNED: Final = 0.9
 of 15 drives was lost. Where all surfaces have changed, a position is twice as far off with 0.9 as without spots."""
 SPOT_STD_IN: Final = 0.4
 """Standard deviation of a surface from the level of a spot: where one level ends within it, the rest is an inch off."""
+
+
+def normal_density(innovation: Floats, variance: Floats) -> Floats:
+    """Return the density of a normal distribution with mean 0, in arrays."""
+    density: Floats = np.exp(-0.5 * innovation**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    return density
 
 
 class _Level:
@@ -87,6 +93,16 @@ class _Surface:
         self._levels: list[float] = ((rows[:, :2] - corner) @ normal)[order].tolist()
         self._variances: list[float] = (np.square(rows[:, 2]) + SPOT_STD_IN**2)[order].tolist()
 
+    def levels_at(self, at: Floats) -> tuple[Floats, Floats]:
+        """Return the same of coordinates (...) along the wall, in arrays; a variance is inf where there is no spot."""
+        places = np.array(self._at)
+        after = np.searchsorted(places, at)
+        pair = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(places) - 1)))
+        away = np.abs(places[pair] - at)
+        near = np.take_along_axis(pair, away.argmin(axis=0)[None], axis=0)[0]
+        is_there = away.min(axis=0) <= SPOT_REACH_IN
+        return np.array(self._levels)[near], np.where(is_there, np.array(self._variances)[near], np.inf)
+
     def level_at(self, at: float) -> tuple[float, float] | None:
         """Return the level of the spot at a coordinate along the wall and its variance; None where there is none."""
         after = bisect_left(self._at, at)
@@ -106,12 +122,15 @@ class SurfaceModel:
     """
 
     def __init__(self, cone: ConeModel, surfaces: Mapping[int, Sequence[SurfaceSpot]] | None = None) -> None:
-        self._cone, self._walls, self.noise = cone, len(cone.faces), cone.noise
+        self._walls, self.noise = len(cone.faces), cone.noise
+        self.cone = cone
         faces = cone.around
         self._surfaces = {
             row: _Surface(spots, faces.corners[row], faces.along[row], faces.normals[row])
             for row, spots in (surfaces or {}).items() if spots
         }
+        self._surface_of = {tuple(faces.walls[row].tolist()): surface for row, surface in self._surfaces.items()}
+        """By their walls x1 y1 x2 y2."""
         self._levels: dict[int, _Level] = {}
         """By the number of the reflector."""
         self._echoes = 0
@@ -136,9 +155,9 @@ class SurfaceModel:
         full of small things, and echoes of them say nothing of the pose. Nor does a missing edge: the end of a wall on
         the map is often only the end of what was mapped.
         """
-        noise, range_parameters = self.noise, self._cone.range_parameters
-        mount = update.mount_at(self._cone.mounts, sonar, turret_offset_rad)
-        refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self._cone)
+        noise, range_parameters = self.noise, self.cone.range_parameters
+        mount = update.mount_at(self.cone.mounts, sonar, turret_offset_rad)
+        refusal, likelihood, candidates = detectable(x, P, mount, reading_in, self.cone)
         if refusal != update.NONE:
             return Association(update.REFUSALS[refusal], likelihood)
         expected, derivatives, variances, probabilities = [], [], [], []
@@ -190,13 +209,43 @@ class SurfaceModel:
         """
         if reflector not in self._surfaces:
             return None
-        corner_x, corner_y, normal_x, normal_y, _ = self._cone.faces[reflector]
+        corner_x, corner_y, normal_x, normal_y, _ = self.cone.faces[reflector]
         _, toward_x, toward_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
         spot = self._surfaces[reflector].level_at(foot)
         if spot is None:
             return None
         level_in, variance = spot
         return (toward_x * normal_x + toward_y * normal_y) * level_in, variance
+
+    def densities(self, innovation_in: Floats, S: Floats, around: Reflectors, x_in: Floats, y_in: Floats) -> Floats:
+        """Return the density (..., j) per inch of innovations by j reflectors, for `HeadingTest`.
+
+        As `associate` has it, but that no level of the filter is known.
+
+        Parameters
+        ----------
+        innovation_in, S
+            (..., j) reading less the expected one if the walls were where the map says, and its variance.
+        around
+            The reflectors, of the model's own.
+        x_in, y_in
+            (...) faces of the sonars.
+        """
+        found = normal_density(innovation_in, S + self.noise.surface_std_in**2)
+        for number, wall in enumerate(around.walls.tolist()):
+            surface = self._surface_of.get(tuple(wall))
+            if surface is None:
+                continue
+            _, toward_x, toward_y, foot = to_wall(x_in, y_in, *around.corners[number], *around.normals[number])
+            level_in, variance = surface.levels_at(foot)
+            change_in = (toward_x * around.normals[number, 0] + toward_y * around.normals[number, 1]) * level_in
+            is_there = np.isfinite(variance)
+            learned = normal_density(
+                innovation_in[..., number] - change_in, S[..., number] + np.where(is_there, variance, 0.0)
+            )
+            mixed = AS_LEARNED * learned + (1.0 - AS_LEARNED) * found[..., number]
+            found[..., number] = np.where(is_there, mixed, found[..., number])
+        return found
 
     def merge(self, x: State, P: Covariance, corrections: Sequence[update.Correction], beta: Sequence[float]) -> None:
         """Replace x and P by the mean and covariance of the mixture of all hypotheses, in place.
@@ -211,7 +260,7 @@ class SurfaceModel:
         beta
             Their probabilities and last that of an outlier (k + 1,).
         """
-        first = len(x) - self._cone.range_parameters - LEVEL_STATES
+        first = len(x) - self.cone.range_parameters - LEVEL_STATES
         fresh, variance = first + MAX_LEVELS, self.noise.surface_std_in**2
         # 1. The most probable reflector, and where its level is among the coordinates.
         of_reflector: dict[int, float] = {}

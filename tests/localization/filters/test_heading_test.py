@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
+from localization.filters import registry
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats, independent
 from localization.filters.ekf import KalmanFilter
@@ -12,11 +15,13 @@ from localization.filters.heading_test import MIN_READINGS, READINGS, STEP_RAD, 
 from localization.filters.health import HealthLimits
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import HEADING_NATS, make
-from localization.filters.sonar_cone import ConeModel, ConeSonar, first_echoes, reflectors
+from localization.filters.sonar_cone import ConeModel, ConeSonar, building_sonar, first_echoes, reflectors
 from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.surface import LEVEL_STATES, SurfaceModel, SurfaceUpdate
 from localization.filters.update import MeasurementUpdate, Refusal, association_probabilities, linear
 from worlds.io import load_world
 from worlds.robots import N150
+from worlds.world import SurfaceSpot
 
 WALLS = np.asarray(load_world("several_walls").walls)
 MODEL = ConeModel(WALLS, N150, ConeSonar(), 2)
@@ -127,6 +132,85 @@ def test_a_filter_recovers_its_heading(method: str) -> None:
     assert abs(tested.belief.mean[2] - TRUTH[2]) < 0.15
     assert np.hypot(*(tested.belief.mean[:2] - TRUTH[:2])) < 1.0
     assert abs(plain.belief.mean[2] - TRUTH[2]) > 0.25
+
+
+# Walls with surfaces.
+
+BUILDING = building_sonar(N150.ring)
+
+
+def spots_of(wall: Floats) -> tuple[SurfaceSpot, ...]:
+    """Return the spots of a surface that stands out by 1.5 in to the left of its wall, each 4 in."""
+    length_in = float(np.hypot(*(wall[2:] - wall[:2])))
+    along = (wall[2:] - wall[:2]) / length_in
+    places = wall[:2] + np.outer(np.arange(0.0, length_in, 4.0), along) + 1.5 * np.array((-along[1], along[0]))
+    return tuple(SurfaceSpot(x, y, 0.15) for x, y in places.tolist())
+
+
+SPOTS = {row: spots_of(wall) for row, wall in enumerate(WALLS) if row % 2}
+"""Of every other wall of the map."""
+
+
+@pytest.mark.parametrize("std", [0.1, 0.03])
+def test_likelihoods_among_surfaces_are_those_of_the_filter(std: float) -> None:
+    surfaces = SurfaceModel(ConeModel(WALLS, N150, BUILDING, 2), SPOTS)
+    pose, pose_cov = belief(0.3, std)
+    # The levels of walls come between pose and range parameters.
+    x, P = np.zeros(5 + LEVEL_STATES), BUILDING.surface_std_in**2 * np.eye(5 + LEVEL_STATES)
+    own = [0, 1, 2, -2, -1]
+    x[own], P[np.ix_(own, own)] = pose, pose_cov
+    turns, encoders = np.array([-0.3, 0.0, 0.2]), (10.0, 20.0, 0.5, 0.9)
+    K = P[:, 2] / P[2, 2]
+    cov = P - (P[2, 2] - min(STEP_RAD, std) ** 2) * np.outer(K, K)
+    compared = 0
+    for sonar, reading_in in product(range(16), (16.0, 22.0, 30.0, 80.0)):
+        (found,) = likelihoods(x, P, turns, encoders, [FiredAt(encoders, sonar, reading_in)], surfaces.cone, surfaces)
+        for j, turn in enumerate(turns):
+            mean = (x + K * turn).tolist()
+            association = surfaces.associate(mean, cov.tolist(), sonar, 0.4, reading_in)
+            if association.refusal is Refusal.NONE:
+                corrections = linear(mean, cov.tolist(), reading_in, association, association.R)
+                _, expected, _ = association_probabilities(association, corrections)
+                assert found[j] == pytest.approx(expected, rel=0.05)
+                compared += expected > 2.0 * BUILDING.outlier_density
+    assert compared > 20
+
+
+def test_a_repeated_echo_is_compared_once() -> None:
+    """The base turns below the turret: after a round of the ring each sonar measures what it has measured before."""
+    for surfaces, count in ((None, READINGS), (SurfaceModel(ConeModel(WALLS, N150, BUILDING, 2)), 16)):
+        test = HeadingTest(ConeModel(WALLS, N150, BUILDING, 2), surfaces)
+        for k in range(40):
+            pose = (0.1 * k, 3.0, 4.0, 0.02 * k, 0.7)
+            test.add([pose, pose], [(0.1 * k, k % 16, 50.0)])
+        assert len(test._recent()) == count
+    # From elsewhere it is another one.
+    pose = (5.0, 4.0, 4.0, 0.8, 0.7)
+    test.add([pose, pose], [(5.0, 3, 50.0)])
+    assert len(test._recent()) == 17
+
+
+def test_a_filter_among_surfaces_recovers_its_heading() -> None:
+    """A robot that drives after a turn of which the encoders report 0.6 rad too little."""
+    cone, start = ConeModel(WALLS, N150, BUILDING), (77.0, 71.0, -1.5)
+    errors = []
+    for limits in (registry._BUILDING, HealthLimits()):
+        believed = independent(np.add(start, (0.0, 0.0, -0.6)), (0.3, 0.3, 0.2))
+        filter_ = KalmanFilter(believed, SurfaceUpdate(SurfaceModel(cone)), STILL, limits=limits)
+        before = (0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(160):
+            driven_in = 0.25 * k
+            x, y = start[0] + driven_in * np.cos(start[2]), start[1] + driven_in * np.sin(start[2])
+            pose = (0.1 * k, driven_in, 0.0, 0.0, 0.0)
+            echoes = first_echoes(x, y, start[2], 0.0, cone.mounts[k % 16], cone)
+            best = max(echoes, key=lambda echo: echo.probability, default=None)
+            range_in = float(round(best.range_in)) if best and best.probability > 0.5 else 255.0
+            filter_.process(before, [before, pose], [(pose[0], k % 16, range_in)])
+            before = pose
+        errors.append(np.abs(filter_.belief.mean - (x, y, start[2])))
+    assert errors[0][2] < 0.1
+    assert np.hypot(*errors[0][:2]) < 2.5
+    assert errors[1][2] > 0.3
 
 
 def test_rays_and_filters_without_a_limit_have_no_test() -> None:
