@@ -308,3 +308,9 @@ def nees(error: Floats, cov: Floats) -> Floats:
     """
     value: Floats = (error * np.linalg.solve(cov, error[..., None])[..., 0]).sum(axis=-1)
     return value
+
+
+def normal_density(residual: Floats, variance: Floats) -> Floats:
+    """Return the density (...) of residuals that are normally distributed about 0, each with its variance."""
+    density: Floats = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    return density

@@ -15,8 +15,8 @@ But the heading decides which reflectors are detected:
 Something that the map does not have agrees with no heading, and what else was measured contradicts it.
 
 Among walls with surfaces a reading is compared with the learned level of the spot that it comes from, and with any
-level (`SurfaceModel.densities`). Their cones are wide: a wrong heading shows when the robot drives, and readings at its
-sides are of other walls than expected. Without the test the filter was lost after a turn in 3 of 120 simulated drives.
+level (`SurfaceModel.densities`). Their cones are so wide that a wrong heading shows only when the robot drives:
+readings at its sides are then of other walls than expected. What it is worth is in docs/methods.md.
 
 References
 ----------
@@ -33,10 +33,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.base import EncoderRow, NewEcho
-from localization.filters.belief import HEADING, POSE, Floats, unit_vector, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, normal_density, unit_vector, wrap_angle
 from localization.filters.odometry import pose_at
 from localization.filters.sonar_cone import ConeModel, arm_of, expected_echoes
-from localization.filters.surface import SurfaceModel, normal_density
+from localization.filters.surface import SurfaceModel
 from localization.filters.update import SAME_POSE_IN, SAME_POSE_RAD, expected_reading, kalman_gain
 from worlds.rings import SonarMount
 
@@ -45,9 +45,10 @@ READINGS: Final = 24
 MIN_READINGS: Final = 8
 """From one comparison to the next there are so many new readings: half a round."""
 MIN_OUTLIERS: Final = 0.3
-"""Recent fraction of outliers from which headings are compared: three times that of a Polaroid ring."""
+"""Recent fraction of outliers from which headings are compared: three times that of a Polaroid ring. In a building,
+where many echoes are of things that are not on the map, it is often exceeded."""
 STEP_RAD: Final = 0.05
-"""Headings are compared in steps of a ninth of a cone, and their cones blurred by as much."""
+"""Headings are compared in steps of a ninth of a cone of 26 degrees, and the cones blurred by as much."""
 MAX_SIGMAS: Final = 5.0
 """They are at most so many standard deviations off."""
 
@@ -117,8 +118,8 @@ class HeadingTest:
     def _recent(self) -> list[FiredAt]:
         """Return the last READINGS ranges, in order of time.
 
-        Among walls with surfaces without those that another one repeats later: a thing that is not on the map is
-        measured again and again by a robot whose base turns below its turret, and says each time the same.
+        With surfaces, of several ranges from one place along one axis only the last is used: a robot whose base turns
+        below its turret measures a thing that is not on the map again and again, each time at the same place.
         """
         noise = self._model.noise
         readings: list[FiredAt] = []
@@ -133,7 +134,10 @@ class HeadingTest:
         return readings[READINGS - 1 :: -1]
 
     def _repeats(self, one: FiredAt, other: FiredAt) -> bool:
-        """Return True for readings from one place along one axis, by the encoders."""
+        """Return True for readings from one place along one axis, by the encoders, whichever the sonars.
+
+        `update.count_along_axis` tells so only of the readings that the filter has used.
+        """
         (x, y, _, turret), (other_x, other_y, _, other_turret) = one.encoders, other.encoders
         turned_rad = turret + self._model.mounts[one.sonar][0] - other_turret - self._model.mounts[other.sonar][0]
         is_here = hypot(x - other_x, y - other_y) <= SAME_POSE_IN

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from localization.filters import sonar_ray, update
 from localization.filters.base import Filter
-from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, wrap_angle
+from localization.filters.belief import HEADING, POSE, Belief, Floats, difference, normal_density, wrap_angle
 from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import NO_LAG, Lag, OdometryNoise, add_lag, move, step_variance
 from localization.filters.sonar_cone import ConeSonar, echo_probabilities, reflectors
@@ -77,11 +77,6 @@ class Likelihood(ABC):
         """Return the likelihoods of a reading at poses (n, 3); never 0."""
 
 
-def _density(residual: Floats, variance: Floats) -> Floats:
-    """Return the normal density of a residual."""
-    return np.exp(-0.5 * residual**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-
-
 class RayLikelihood(Likelihood):
     """Beam model z_hit N(z; range, variance) + z_rand / span, along exact rays.
 
@@ -104,7 +99,7 @@ class RayLikelihood(Likelihood):
         has_wall = np.isfinite(range_in)
         expected = np.where(has_wall, range_in, 0.0)
         variance = self._sonar.variance(expected)
-        hit = _density(reading_in - expected, variance + self._widen_in2)
+        hit = normal_density(reading_in - expected, variance + self._widen_in2)
         outlier = np.full(len(poses), self._outlier_probability / self._sonar.range_span_in)
         total = (1.0 - self._outlier_probability) * np.where(has_wall, hit, 0.0) + outlier
         return Likelihoods(total, outlier, np.where(has_wall, range_in, np.nan), variance)
@@ -130,7 +125,7 @@ class ConeLikelihood(Likelihood):
         noise = self._sonar
         mount = update.mount_at(self._mounts, sonar, turret_offset_rad)
         ranges, probability = echo_probabilities(poses, self._heading_std, mount, self._around, noise)
-        hits = _density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
+        hits = normal_density(reading_in - ranges, noise.variance(ranges) + self._widen_in2)
         inlier = 1.0 - noise.outlier_probability
         outlier = noise.outlier_density * (1.0 - inlier * probability.sum(axis=-1))
         weighted = probability * hits

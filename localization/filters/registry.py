@@ -90,7 +90,7 @@ MIN_MATCHED: Final = 0.37
 """Exact rays that are taken for cones are explained to a third by accident."""
 _LIMITS: Final = HealthLimits(min_matched=MIN_MATCHED, max_nis_ratio=MAX_NIS_RATIO, slip_nats=SLIP_NATS,
                               heading_nats=HEADING_NATS)
-_BUILDING: Final = replace(BUILDING, heading_nats=HEADING_NATS)
+_SURFACE_LIMITS: Final = replace(BUILDING, heading_nats=HEADING_NATS)
 
 
 def make(method: str, config: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
@@ -156,7 +156,7 @@ def _kalman(config: LocalizationConfig, belief: Belief, rule: Rule = linear,
     if isinstance(config.sonar, ConeSonar) and config.sonar.surface_std_in and rule is linear:
         # It stores where echoes were: one for each filter.
         cone = ConeModel(config.walls, config.body, config.sonar, len(stds))
-        measurement, limits = SurfaceUpdate(SurfaceModel(cone, config.surfaces)), _BUILDING
+        measurement, limits = SurfaceUpdate(SurfaceModel(cone, config.surfaces)), _SURFACE_LIMITS
     return KalmanFilter(belief, measurement, config.odometry, prediction, stds, _middle(config), limits)
 
 

@@ -32,7 +32,6 @@ Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Naviga
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from math import exp, hypot
 from typing import Final
@@ -40,7 +39,7 @@ from typing import Final
 import numpy as np
 
 from localization.filters import update
-from localization.filters.belief import HEADING, Floats, unit_vector, wrap_angle
+from localization.filters.belief import HEADING, Floats, normal_density, unit_vector, wrap_angle
 from localization.filters.sonar_cone import ConeModel, Reflectors, arm_of, detectable, to_wall
 from localization.filters.sonar_ray import range_variance
 from localization.filters.update import Association, Covariance, MeasurementUpdate, State, UpdateResult
@@ -57,12 +56,6 @@ AS_LEARNED: Final = 0.9
 of 15 drives was lost. Where all surfaces have changed, a position is twice as far off with 0.9 as without spots."""
 SPOT_STD_IN: Final = 0.4
 """Standard deviation of a surface from the level of a spot: where one level ends within it, the rest is an inch off."""
-
-
-def normal_density(innovation: Floats, variance: Floats) -> Floats:
-    """Return the density of a normal distribution with mean 0, in arrays."""
-    density: Floats = np.exp(-0.5 * innovation**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    return density
 
 
 class _Level:
@@ -89,25 +82,23 @@ class _Surface:
         rows = np.array(spots).reshape(-1, 3)
         at = (rows[:, :2] - corner) @ along
         order = np.argsort(at, kind="stable")
-        self._at: list[float] = at[order].tolist()
-        self._levels: list[float] = ((rows[:, :2] - corner) @ normal)[order].tolist()
-        self._variances: list[float] = (np.square(rows[:, 2]) + SPOT_STD_IN**2)[order].tolist()
+        self._corner, self._normal, self._at = corner.tolist(), normal.tolist(), at[order]
+        self._levels = ((rows[:, :2] - corner) @ normal)[order]
+        self._variances = np.append((np.square(rows[:, 2]) + SPOT_STD_IN**2)[order], np.inf)
 
-    def levels_at(self, at: Floats) -> tuple[Floats, Floats]:
-        """Return the same of coordinates (...) along the wall, in arrays; a variance is inf where there is no spot."""
-        places = np.array(self._at)
-        after = np.searchsorted(places, at)
-        pair = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(places) - 1)))
-        away = np.abs(places[pair] - at)
-        near = np.take_along_axis(pair, away.argmin(axis=0)[None], axis=0)[0]
-        is_there = away.min(axis=0) <= SPOT_REACH_IN
-        return np.array(self._levels)[near], np.where(is_there, np.array(self._variances)[near], np.inf)
+    def change(self, face_x: Floats, face_y: Floats) -> tuple[Floats, Floats]:
+        """Return by how much the surface changes ranges from the faces (...) of sonars, and the variances of this.
 
-    def level_at(self, at: float) -> tuple[float, float] | None:
-        """Return the level of the spot at a coordinate along the wall and its variance; None where there is none."""
-        after = bisect_left(self._at, at)
-        near = min(range(max(after - 1, 0), min(after + 1, len(self._at))), key=lambda row: abs(self._at[row] - at))
-        return (self._levels[near], self._variances[near]) if abs(self._at[near] - at) <= SPOT_REACH_IN else None
+        The variance is inf where no spot is within SPOT_REACH_IN of the foot. A level is towards the normal of the
+        wall: from that side ranges are shorter.
+        """
+        _, toward_x, toward_y, foot = to_wall(face_x, face_y, *self._corner, *self._normal)
+        after = np.searchsorted(self._at, foot)
+        before, after = np.maximum(after - 1, 0), np.minimum(after, len(self._at) - 1)
+        nearest = np.where(np.abs(self._at[before] - foot) <= np.abs(self._at[after] - foot), before, after)
+        is_there = np.abs(self._at[nearest] - foot) <= SPOT_REACH_IN
+        change_in = (toward_x * self._normal[0] + toward_y * self._normal[1]) * self._levels[nearest]
+        return change_in, self._variances[np.where(is_there, nearest, len(self._at))]
 
 
 class SurfaceModel:
@@ -122,15 +113,14 @@ class SurfaceModel:
     """
 
     def __init__(self, cone: ConeModel, surfaces: Mapping[int, Sequence[SurfaceSpot]] | None = None) -> None:
-        self._walls, self.noise = len(cone.faces), cone.noise
-        self.cone = cone
+        self.cone, self._walls, self.noise = cone, len(cone.faces), cone.noise
         faces = cone.around
         self._surfaces = {
             row: _Surface(spots, faces.corners[row], faces.along[row], faces.normals[row])
             for row, spots in (surfaces or {}).items() if spots
         }
         self._surface_of = {tuple(faces.walls[row].tolist()): surface for row, surface in self._surfaces.items()}
-        """By their walls x1 y1 x2 y2."""
+        """By the ends of their walls: a part of the reflectors (`Reflectors.within`) has other rows."""
         self._levels: dict[int, _Level] = {}
         """By the number of the reflector."""
         self._echoes = 0
@@ -203,48 +193,37 @@ class SurfaceModel:
                            probabilities, None, noise.outlier_probability, noise.outlier_density)  # fmt: skip
 
     def _learned(self, reflector: int, face_x: float, face_y: float) -> tuple[float, float] | None:
-        """Return by how much the learned surface changes the range from a sonar's face, and the variance of this.
-
-        None where it was not learned. A level is towards the normal of the wall: from that side ranges are shorter.
-        """
+        """Return by how much the learned surface changes a range, and the variance of this; None where none was."""
         if reflector not in self._surfaces:
             return None
-        corner_x, corner_y, normal_x, normal_y, _ = self.cone.faces[reflector]
-        _, toward_x, toward_y, foot = to_wall(face_x, face_y, corner_x, corner_y, normal_x, normal_y)
-        spot = self._surfaces[reflector].level_at(foot)
-        if spot is None:
-            return None
-        level_in, variance = spot
-        return (toward_x * normal_x + toward_y * normal_y) * level_in, variance
+        change_in, variance = self._surfaces[reflector].change(np.array(face_x), np.array(face_y))
+        return (float(change_in), float(variance)) if variance < np.inf else None
 
-    def densities(self, innovation_in: Floats, S: Floats, around: Reflectors, x_in: Floats, y_in: Floats) -> Floats:
+    def densities(self, innovation_in: Floats, S: Floats, around: Reflectors, face_x: Floats, face_y: Floats) -> Floats:
         """Return the density (..., j) per inch of innovations by j reflectors, for `HeadingTest`.
 
-        As `associate` has it, but that no level of the filter is known.
+        That of the hypotheses of `associate` without those of the same level: the filter's levels are of its heading.
 
         Parameters
         ----------
         innovation_in, S
             (..., j) reading less the expected one if the walls were where the map says, and its variance.
         around
-            The reflectors, of the model's own.
-        x_in, y_in
+            The j reflectors, some of those of the map.
+        face_x, face_y
             (...) faces of the sonars.
         """
         found = normal_density(innovation_in, S + self.noise.surface_std_in**2)
         for number, wall in enumerate(around.walls.tolist()):
-            surface = self._surface_of.get(tuple(wall))
-            if surface is None:
-                continue
-            _, toward_x, toward_y, foot = to_wall(x_in, y_in, *around.corners[number], *around.normals[number])
-            level_in, variance = surface.levels_at(foot)
-            change_in = (toward_x * around.normals[number, 0] + toward_y * around.normals[number, 1]) * level_in
-            is_there = np.isfinite(variance)
-            learned = normal_density(
-                innovation_in[..., number] - change_in, S[..., number] + np.where(is_there, variance, 0.0)
-            )
-            mixed = AS_LEARNED * learned + (1.0 - AS_LEARNED) * found[..., number]
-            found[..., number] = np.where(is_there, mixed, found[..., number])
+            if surface := self._surface_of.get(tuple(wall)):
+                change_in, variance = surface.change(face_x, face_y)
+                is_there = np.isfinite(variance)
+                learned = normal_density(
+                    innovation_in[..., number] - change_in, S[..., number] + np.where(is_there, variance, 0.0)
+                )
+                found[..., number] = np.where(
+                    is_there, AS_LEARNED * learned + (1.0 - AS_LEARNED) * found[..., number], found[..., number]
+                )
         return found
 
     def merge(self, x: State, P: Covariance, corrections: Sequence[update.Correction], beta: Sequence[float]) -> None:

@@ -15,7 +15,7 @@ Kaess et al., Concurrent Filtering and Smoothing (2012): a short smoother for th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -144,11 +144,12 @@ class LiveMapper:
     @property
     def pieces(self) -> list[Piece]:
         """The walls of the last solution, with their ends, without their accuracy."""
-        self._extract()
+        _ = self._within_ends
         return self._pieces
 
-    def _extract(self) -> MapEstimate | None:
-        """Return the last solution as far as its walls reach."""
+    @property
+    def _within_ends(self) -> MapEstimate | None:
+        """The last solution, its walls as far as their ends (`within_ends`)."""
         if self._extracted is not self.estimate and self.estimate is not None:
             self._pieces = extract_walls(self.estimate, with_accuracy=False)
             self._within = within_ends(self.estimate, self._pieces)
@@ -158,7 +159,7 @@ class LiveMapper:
     @property
     def walls(self) -> Floats:
         """Measured parts (w, 4) of walls, and points as short ones."""
-        within = self._extract()
+        within = self._within_ends
         return np.zeros((0, 4)) if within is None else walls_and_posts(within)
 
     def walls_facing(self, place: Floats) -> Floats:
@@ -166,7 +167,7 @@ class LiveMapper:
 
         Others may be the far faces of thick walls.
         """
-        within = self._extract()
+        within = self._within_ends
         return np.zeros((0, 4)) if within is None else walls_and_posts(within, place)
 
     @property
@@ -300,30 +301,45 @@ def walls_and_posts(estimate: MapEstimate, place: Floats | None = None) -> Float
 
 
 def within_ends(estimate: MapEstimate, pieces: Sequence[Piece]) -> MapEstimate:
-    """Return a map whose walls were measured no farther than ends that are closed, and not between two of these.
+    """Return a map without what was measured of walls beyond closed ends, and between two of these.
 
     Echoes of the posts of an opening seem to come from the wall beside it, up to 20 in beyond its end: a robot would
-    not fit through an opening of 40 in.
+    not fit through an opening of 40 in. A part of a wall of which nothing has ends stays as it is.
     """
-    parts = list[tuple[int, float, float]]()
-    for number, low, high in estimate.runs.tolist():
-        wall = int(number)
-        along = np.array((-np.sin(estimate.state.walls[wall, 0]), np.cos(estimate.state.walls[wall, 0])))
-        own = sorted((piece for piece in pieces if piece.wall == wall and piece.low < high and piece.high > low),
-                     key=lambda piece: piece.low)  # fmt: skip
+    parts = list[tuple[float, float, float]]()
+    for wall in np.unique(estimate.runs[:, 0]).tolist():
+        angle, runs = float(estimate.state.walls[int(wall), 0]), estimate.runs[estimate.runs[:, 0] == wall, 1:].tolist()
+        along = np.array((-np.sin(angle), np.cos(angle)))
+        # 1. Where there is no wall: before and beyond closed ends, and between two of them.
+        own = sorted((piece for piece in pieces if piece.wall == wall), key=lambda piece: piece.low)
         ends = [(piece.ends @ along).tolist() for piece in own]
-        # 1. Where each part ends, by turns: the run, less what is open between closed ends.
-        at = [max(low, ends[0][0]) if own and own[0].closed[0] else low]
-        for (one, one_ends), (other, other_ends) in pairwise(zip(own, ends, strict=True)):
-            if one.closed[1] and other.closed[0]:
-                at += [one_ends[1], other_ends[0]]
-        at.append(min(high, ends[-1][1]) if own and own[-1].closed[1] else high)
-        # 2. Without parts of no length, but all of them: a wall without parts would be known all along its line.
-        kept = [(wall, first, last) for first, last in zip(at[::2], at[1::2], strict=True) if first < last]
-        parts += kept or [(wall, low, high)]
+        gaps = [
+            (one[1], other[0]) for (one, before), (other, after) in pairwise(zip(ends, own, strict=True))
+            if before.closed[1] and after.closed[0]
+        ]  # fmt: skip
+        if own and own[0].closed[0]:
+            gaps = [(-np.inf, ends[0][0]), *gaps]
+        if own and own[-1].closed[1]:
+            gaps.append((ends[-1][1], np.inf))
+        # 2. What was measured elsewhere. A wall without any part would be known all along its line.
+        kept = list[tuple[float, float, float]]()
+        for first, last in runs:
+            is_known = any(piece.low < last and piece.high > first for piece in own)
+            kept += [(wall, *part) for part in _outside(first, last, gaps if is_known else ())]
+        parts += kept or [(wall, first, last) for first, last in runs]
     within = estimate.copy()
     within.runs = np.array(parts, dtype=np.float64).reshape(-1, 3)
     return within
+
+
+def _outside(first: float, last: float, gaps: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the parts of an interval outside of gaps (low, high), which are in order."""
+    parts = list[tuple[float, float]]()
+    for low, high in gaps:
+        if first < min(low, last):
+            parts.append((first, min(low, last)))
+        first = max(first, high)
+    return [*parts, (first, last)] if first < last else parts
 
 
 def passed(walls: Floats, path: Floats, radius_in: float) -> Floats:

@@ -1,7 +1,6 @@
 """Revision of a map: each change down to `square` is tried, optimized and reverted unless the total cost falls.
 
     prune    a feature without which the echoes cost less than PENALTY more is removed
-    chance   a wall through parts of others, whose echoes suit it by their noise, is removed
     part     a point that looks different from two sides, or since a return, becomes two
     posts    points on the surface of a wall, or in a corner of two, whose echoes the walls had explained
     release  echoes of a level that other features explain nearly as well become theirs
@@ -12,7 +11,7 @@
     turn     a wall with levels turns to the direction of its most probable stretches
     together walls with levels turn onto the axes, and right angles have SQUARE_STD_RAD from then on
     drop     what is hidden behind walls, across their corners, or measured no more is removed, whatever it costs; and
-             slanted walls with levels that explain hardly anything
+             slanted walls with levels that explain hardly anything, and walls through parts of others
     trim     echoes of a wall with levels from where there is no wall in the end are left out
     close    the ends of walls whose faces both end there are added
     tie      points near a wall's line are corners or ends of it
@@ -73,7 +72,7 @@ of a wall of which 70 in were measured cost as little."""
 MIN_SLANTED_GAIN: Final = 20.0
 """Cost of ranges that a slanted wall must save: in 72 maps of 36 drives the true ones saved 31 or more."""
 MAX_EXPLAINED: Final = 0.5
-"""Fraction of a wall's echoes that other walls may explain as well before the map is tried without it."""
+"""Fraction of a wall's echoes that other walls would explain before the map is tried without it."""
 MIN_TURN_GAIN: Final = 1.0
 """Cost of its stretches that a turn must save to be tried."""
 SWALLOW_IN: Final = 40.0
@@ -161,24 +160,28 @@ def _losses(estimate: MapEstimate, first_node: int) -> Floats:
 
 
 def drop_chance_walls(estimate: MapEstimate) -> int:
-    """Remove walls most of whose echoes other walls explain as well where the total cost falls; return their number.
+    """Remove walls most of whose echoes other walls would explain where the total cost falls; return their number.
 
     A line that leads through parts of two walls takes from each the echoes whose noise suits it. Single echoes do not
     show what the map costs without it (`prune`): the other walls have turned away from those that they have lost.
     """
-    dropped = 0
+    revised, dropped = estimate, 0
     for wall in reversed(range(len(estimate.state.walls))):
-        echoes = estimate.echoes_of(wall)
-        residual, _, _ = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
-        of_others = np.isfinite(np.delete(residual[:, : len(estimate.state.walls)], wall, axis=1)).any(axis=1)
-        if not len(echoes) or of_others.mean() <= MAX_EXPLAINED:
+        echoes = revised.echoes_of(wall)
+        others, _ = assign(revised, echoes, other_than=revised.assignment.feature[echoes])
+        of_walls = (others != NO_FEATURE) & (others < len(revised.state.walls))
+        if of_walls.sum() <= MAX_EXPLAINED * len(echoes):
             continue
-        trial = estimate.copy()
+        if revised is estimate:
+            revised = estimate.copy()
+            _settle(revised)
+        trial = revised.copy()
         trial.remove(wall)
         _settle(trial)
-        if trial.cost < estimate.cost:
-            estimate.replace_by(trial)
-            dropped += 1
+        if trial.cost < revised.cost:
+            revised, dropped = trial, dropped + 1
+    if dropped:
+        estimate.replace_by(revised)
     return dropped
 
 
@@ -756,7 +759,7 @@ def _with_wall(estimate: MapEstimate, line: Floats, extent: Floats, within_in: f
 
 
 def _settle(estimate: MapEstimate) -> None:
-    """Optimize a map that has a feature more. What this hides counts against it, by the extents at the end."""
+    """Optimize a map that has a feature more or less. What a new one hides counts against it, by the last extents."""
     for _ in range(2):
         estimate.associate()
         tie_points(estimate)

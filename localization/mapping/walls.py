@@ -325,20 +325,21 @@ def crossed_at(starts: Floats, ends: Floats, normal: Floats, along: Floats, offs
     return crossed
 
 
-def _feet(estimate: MapEstimate, wall: int) -> tuple[Floats, Floats]:
-    """Return the coordinates (n,) along a wall of the spots on it that no point explains, and (k,) of all others on it.
+def _feet(estimate: MapEstimate, wall: int) -> tuple[Floats, Mask]:
+    """Return the coordinates (n,) along a wall of the spots on it, sorted, and whether no point explains each (n,).
 
-    The others are of walls with levels alone: their surfaces have posts, and beside one of these an echo may be of
-    either. On a plane it is of the point.
+    The others are left out of planes: there such an echo is of the point. A surface has posts, and beside one of these
+    an echo may be of either.
     """
     state, echoes = estimate.state, estimate.echoes_of(wall)
     residual, _, spots = residual_matrix(estimate.problem, state, estimate.extents, echoes)
     walls = len(state.walls)
-    fits = np.abs(residual[:, wall]) < ROBUST_LIMIT
-    is_of_point = np.abs(residual[:, walls:]).min(axis=1, initial=np.inf) < ALONE_SIGMAS
+    is_clear = ~(np.abs(residual[:, walls:]).min(axis=1, initial=np.inf) < ALONE_SIGMAS)
+    fits = (np.abs(residual[:, wall]) < ROBUST_LIMIT) & (is_clear | (estimate.surface_in > 0.0))
     angle = state.walls[wall, 0]
-    feet: Floats = spots[:, wall] @ np.array((-np.sin(angle), np.cos(angle)))
-    return np.sort(feet[fits & ~is_of_point]), feet[fits & is_of_point & (estimate.surface_in > 0.0)]
+    feet: Floats = spots[fits, wall] @ np.array((-np.sin(angle), np.cos(angle)))
+    order = np.argsort(feet, kind="stable")
+    return feet[order], is_clear[fits][order]
 
 
 def level_weights(estimate: MapEstimate) -> Floats:
@@ -386,37 +387,44 @@ def surface_line(
     return line, by_levels
 
 
-def _pieces(line: _Line, feet: Floats, others: Floats, points: Floats) -> list[tuple[float, float, int]]:
-    """Return runs of feet (sorted): low, high, number. Others (k,) lie between them: they fill gaps, and end no run."""
+def _pieces(line: _Line, feet: Floats, is_clear: Mask, points: Floats) -> list[tuple[float, float, int]]:
+    """Return runs of feet (sorted): low, high, number.
+
+    Those that a point explains as well (not `is_clear`) fill gaps between posts side by side. They neither begin nor
+    end a run, and are in no gap between two points that a door may be in.
+    """
     at = np.sort(points[np.abs(points @ line.normal - line.offset) < POINT_ON_LINE_IN] @ line.along)
-    feet = _without_strays(feet, at)
-    if len(feet) < MIN_SPOTS:
+    gap_in = np.diff(at, prepend=-np.inf, append=np.inf)[np.searchsorted(at, feet)]
+    is_kept = np.where(is_clear, _are_no_strays(feet, is_clear, at), gap_in <= MAX_GAP_IN)
+    feet, is_clear = feet[is_kept], is_clear[is_kept]
+    if is_clear.sum() < MIN_SPOTS:
         return []
-    feet = np.sort(np.concatenate((feet, others[(others > feet[0]) & (others < feet[-1])])))
-    gaps = np.diff(feet)
     is_cut = [
         gap > MAX_GAP_IN or (gap > MIN_CROSSED_GAP_IN and line.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN))
-        for low, high, gap in zip(feet[:-1], feet[1:], gaps, strict=True)
+        for low, high, gap in zip(feet[:-1], feet[1:], np.diff(feet), strict=True)
     ]
-    runs = np.split(feet, np.flatnonzero(is_cut) + 1)
-    runs = [_trimmed(_trimmed(run, at)[::-1], at)[::-1] for run in runs]
-    return [
-        (float(run[0]), float(run[-1]), len(run))
-        for run in runs
-        if len(run) >= MIN_SPOTS and run[-1] - run[0] >= MIN_PIECE_IN
-    ]
+    borders, found = np.flatnonzero(is_cut) + 1, []
+    for run, is_run_clear in zip(np.split(feet, borders), np.split(is_clear, borders), strict=True):
+        if is_run_clear.sum() < MIN_SPOTS:
+            continue
+        first, last = np.flatnonzero(is_run_clear)[[0, -1]]
+        trimmed = _trimmed(_trimmed(run[first : last + 1], at)[::-1], at)[::-1]
+        if len(trimmed) >= MIN_SPOTS and trimmed[-1] - trimmed[0] >= MIN_PIECE_IN:
+            found.append((float(trimmed[0]), float(trimmed[-1]), len(trimmed)))
+    return found
 
 
-def _without_strays(feet: Floats, points: Floats) -> Floats:
-    """Return feet (sorted) without the one or two between neighbouring points (sorted) with a gap between them.
+def _are_no_strays(feet: Floats, is_clear: Mask, points: Floats) -> Mask:
+    """Return False for the one or two clear feet (sorted) between neighbouring points (sorted) with a gap between them.
 
     A door stands back between its posts: two mistaken spots on the line of the wall, and it would lead across the door.
     """
+    is_kept = np.ones(len(feet), dtype=np.bool_)
     for low, high in pairwise(points.tolist()):
-        between = (feet > low + POINT_ON_LINE_IN) & (feet < high - POINT_ON_LINE_IN)
+        between = is_clear & (feet > low + POINT_ON_LINE_IN) & (feet < high - POINT_ON_LINE_IN)
         if high - low > MAX_GAP_IN and between.sum() <= MAX_ALONE:
-            feet = feet[~between]
-    return feet
+            is_kept &= ~between
+    return is_kept
 
 
 def _owner_of(

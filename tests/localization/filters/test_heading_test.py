@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
+from math import inf
 
 import numpy as np
 import pytest
@@ -140,10 +142,11 @@ BUILDING = building_sonar(N150.ring)
 
 
 def spots_of(wall: Floats) -> tuple[SurfaceSpot, ...]:
-    """Return the spots of a surface that stands out by 1.5 in to the left of its wall, each 4 in."""
+    """Return spots each 4 in of the first two thirds of a wall, up to 1.5 in to its left or right."""
     length_in = float(np.hypot(*(wall[2:] - wall[:2])))
-    along = (wall[2:] - wall[:2]) / length_in
-    places = wall[:2] + np.outer(np.arange(0.0, length_in, 4.0), along) + 1.5 * np.array((-along[1], along[0]))
+    along, at = (wall[2:] - wall[:2]) / length_in, np.arange(0.0, 0.67 * length_in, 4.0)
+    levels_in = 1.5 * np.sin(at / 5.0)
+    places = wall[:2] + np.outer(at, along) + np.outer(levels_in, (-along[1], along[0]))
     return tuple(SurfaceSpot(x, y, 0.15) for x, y in places.tolist())
 
 
@@ -184,17 +187,18 @@ def test_a_repeated_echo_is_compared_once() -> None:
             pose = (0.1 * k, 3.0, 4.0, 0.02 * k, 0.7)
             test.add([pose, pose], [(0.1 * k, k % 16, 50.0)])
         assert len(test._recent()) == count
-    # From elsewhere it is another one.
-    pose = (5.0, 4.0, 4.0, 0.8, 0.7)
-    test.add([pose, pose], [(5.0, 3, 50.0)])
-    assert len(test._recent()) == 17
+    # Of another sonar along the same axis it is no new one either; from elsewhere it is.
+    for turret, x_in, count in ((0.7 + np.radians(22.5), 3.0, 16), (0.7, 4.0, 17)):
+        pose = (5.0, x_in, 4.0, 0.8, float(turret))
+        test.add([pose, pose], [(5.0, 3, 50.0)])
+        assert len(test._recent()) == count
 
 
 def test_a_filter_among_surfaces_recovers_its_heading() -> None:
     """A robot that drives after a turn of which the encoders report 0.6 rad too little."""
     cone, start = ConeModel(WALLS, N150, BUILDING), (77.0, 71.0, -1.5)
     errors = []
-    for limits in (registry._BUILDING, HealthLimits()):
+    for limits in (registry._SURFACE_LIMITS, replace(registry._SURFACE_LIMITS, heading_nats=inf)):
         believed = independent(np.add(start, (0.0, 0.0, -0.6)), (0.3, 0.3, 0.2))
         filter_ = KalmanFilter(believed, SurfaceUpdate(SurfaceModel(cone)), STILL, limits=limits)
         before = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -13,15 +13,7 @@ from localization.filters.health import HealthLimits, HealthStatus
 from localization.filters.odometry import OdometryNoise
 from localization.filters.registry import make
 from localization.filters.sonar_cone import BUILDING_SONAR, ConeModel, ConeSonar
-from localization.filters.surface import (
-    AS_LEARNED,
-    LEVEL_STATES,
-    MAX_LEVELS,
-    SPOT_STD_IN,
-    SurfaceModel,
-    SurfaceUpdate,
-    _Surface,
-)
+from localization.filters.surface import AS_LEARNED, LEVEL_STATES, MAX_LEVELS, SPOT_STD_IN, SurfaceModel, SurfaceUpdate
 from localization.filters.update import Refusal
 from worlds.rings import Ring
 from worlds.robots import N150, Body
@@ -313,17 +305,6 @@ def test_echo_of_a_learned_spot_is_expected_at_its_level(x: float, sonar: int, y
     spot = 0.1 if level == -2.0 else 0.3
     assert found.R[0] == pytest.approx(found.R[1] + spot**2 + SPOT_STD_IN**2)
     assert found.probability[0] / sum(found.probability) == pytest.approx(AS_LEARNED)
-
-
-def test_levels_along_a_wall_in_arrays_are_those_one_by_one() -> None:
-    surface = _Surface(LEARNED, np.array((-500.0, 40.0)), np.array((1.0, 0.0)), np.array((0.0, 1.0)))
-    at = np.append(np.linspace(495.0, 535.0, 161), (501.0, 503.0)).reshape(-1, 1)
-    levels, variances = surface.levels_at(at)
-    assert levels.shape == variances.shape == at.shape
-    for place, level, variance in zip(at.ravel(), levels.ravel(), variances.ravel(), strict=True):
-        found = surface.level_at(float(place))
-        assert (found is None) == np.isinf(variance)
-        assert found is None or found == pytest.approx((level, variance))
 
 
 @pytest.mark.parametrize("x", [-2.0, 8.0, 20.0, 34.0])

@@ -127,6 +127,8 @@ def test_line_that_goes_on_beyond_a_door_leaves_it_open(estimate: MapEstimate) -
          [(-50.0, -18.0), (19.0, 48.0)]),
         ([((-50.0, -20.0), (-52.0, -20.0), (True, False)), ((20.0, 45.0), (19.0, 48.0), (True, False))],
          [(-50.0, 50.0)]),
+        ([((-50.0, -20.0), (-52.0, -18.0), (True, True)), ((20.0, 45.0), (19.0, 48.0), (False, True))],
+         [(-50.0, 48.0)]),
         # A piece of nothing: the wall is still there.
         ([((40.0, 49.0), (55.0, 45.0), (True, True))], [(-50.0, 50.0)]),
     ],

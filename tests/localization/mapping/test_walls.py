@@ -79,7 +79,7 @@ def test_short_piece_across_a_wall_is_none(
         np.array((angle, place @ (np.cos(angle), np.sin(angle)))), np.array((middle - half_in, middle + half_in))
     )
     short, feet = len(estimate.state.walls), np.linspace(middle - half_in, middle + half_in, 8)
-    clear = feet, np.zeros(0)
+    clear = feet, np.ones(len(feet), dtype=np.bool_)
     monkeypatch.setattr(walls, "_feet", lambda of, wall: clear if wall == short else measured_feet(of, wall))
     # Nothing ends at it either.
     before, after = ([piece.ends for piece in extract_walls(each)] for each in (estimate, found))
@@ -255,7 +255,7 @@ def test_two_spots_between_posts_make_no_wall_across_a_door(
     angle = float(found.state.walls[south, 0])
     measured = np.concatenate((np.linspace(-20.0, 9.0, 15), spots, np.linspace(46.0, 90.0, 20)))
     feet = np.stack((measured, np.full(len(measured), -25.0)), axis=-1) @ (-np.sin(angle), np.cos(angle))
-    clear = np.sort(feet), np.zeros(0)
+    clear = np.sort(feet), np.ones(len(feet), dtype=np.bool_)
     monkeypatch.setattr(walls, "_feet", lambda of, wall: clear if wall == south else measured_feet(of, wall))
     monkeypatch.setattr(walls, "uncrossed_spans", lambda *_: [])
     assert sum(piece.wall == south for piece in extract_walls(found)) == pieces
@@ -477,8 +477,9 @@ def test_parts_of_a_wall_with_a_step_have_lines_of_their_own(estimate: MapEstima
     values[own] = np.where(x > 40.0, 4.0, 0.0)
     found.state = replace(found.state, levels=replace(found.state.levels, value_in=values))
     feet = np.sort(-np.sin(angle) * np.concatenate((np.arange(0.0, 34.0, 2.0), np.arange(46.0, 80.0, 2.0))))
+    measured, nothing = ((some, np.ones(len(some), dtype=np.bool_)) for some in (feet, feet[:0]))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(walls, "_feet", lambda _, wall: (feet if wall == south else np.zeros(0), np.zeros(0)))
+        patch.setattr(walls, "_feet", lambda _, wall: measured if wall == south else nothing)
         patch.setattr(walls, "MAX_GAP_IN", 8.0)
         pieces = [piece for piece in extract_walls(found) if piece.wall == south]
     assert len(pieces) == 2
@@ -941,12 +942,27 @@ def test_spots_at_posts_on_a_surface_fill_gaps(estimate: MapEstimate, monkeypatc
         assert sum(piece.wall == south for piece in extract_walls(made)) == parts
 
 
-def test_spots_at_posts_on_a_surface_end_no_wall() -> None:
+@pytest.mark.parametrize(
+    ("posts_x", "others_x", "runs"),
+    [
+        # Clear feet from 20 to 30 and from 60 to 70 in, and posts 15 in apart or none.
+        ((15.0, 30.0, 45.0, 60.0, 75.0), np.arange(0.0, 100.0, 5.0), [(20.0, 70.0)]),
+        ((15.0, 30.0, 45.0, 60.0, 75.0), (33.0, 36.0, 39.0), [(20.0, 30.0), (60.0, 70.0)]),
+        ((15.0, 75.0), np.arange(0.0, 100.0, 5.0), [(20.0, 30.0), (60.0, 70.0)]),
+        ((), np.arange(0.0, 100.0, 5.0), [(20.0, 30.0), (60.0, 70.0)]),
+        ((90.0, 100.0, 110.0), np.arange(90.0, 110.0), [(20.0, 30.0), (60.0, 70.0)]),
+    ],
+)
+def test_spots_at_posts_fill_gaps_between_these_and_end_no_wall(
+    posts_x: Sequence[float], others_x: Sequence[float], runs: list[tuple[float, float]]
+) -> None:
     line = walls._Line(np.array((0.0, 1.0)), np.array((1.0, 0.0)), 0.0, np.zeros(0), crossed=np.zeros(0))
-    feet, others = np.concatenate((np.arange(20.0, 31.0), np.arange(60.0, 71.0))), np.arange(0.0, 100.0, 5.0)
-    assert len(walls._pieces(line, feet, np.zeros(0), np.zeros((0, 2)))) == 2
-    ((low, high, count),) = walls._pieces(line, feet, others, np.zeros((0, 2)))
-    assert (low, high, count) == (20.0, 70.0, len(feet) + 9)
+    clear = np.concatenate((np.arange(20.0, 31.0), np.arange(60.0, 71.0)))
+    feet = np.concatenate((clear, others_x))
+    order = np.argsort(feet, kind="stable")
+    posts = np.array([(x, 0.0) for x in posts_x]).reshape(-1, 2)
+    found = walls._pieces(line, feet[order], (np.arange(len(feet)) < len(clear))[order], posts)
+    assert [run[:2] for run in found] == runs
 
 
 def test_parts_of_a_surface_with_a_gap_are_walls_of_their_own(estimate: MapEstimate) -> None:
