@@ -36,7 +36,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats, wrap_angle
 from localization.mapping.association import MapEstimate
-from localization.mapping.live import LiveMapper, passed, walls_and_posts, within_ends
+from localization.mapping.live import LiveMapper, passed, walls_and_posts, with_openings
 from localization.mapping.problem import NO_FEATURE, sensors_at
 from localization.mapping.spans import POINT_ON_LINE_IN, pass_through, uncrossed_spans
 from localization.mapping.survey import REVERSE_RAD, Geofence, Plan, Point
@@ -246,7 +246,7 @@ class _Finished:
         self.estimate: MapEstimate | None = estimate
         self.recent: MapEstimate | None = None
         self.poses, self.pieces = estimate.state.poses, extract_walls(estimate, with_accuracy=False)
-        self.walls = walls_and_posts(within_ends(estimate, self.pieces))
+        self.walls = walls_and_posts(with_openings(estimate, self.pieces))
 
 
 class _Solution:

@@ -97,10 +97,10 @@ class LiveMapper:
         self._encoders, self._steps = np.zeros(POSE), Steps()
         self._tracked = self._challenged_nodes = 0
         self._judged: MapEstimate | None = None
-        # The estimate whose walls were extracted, these, and the map as far as they reach.
+        # The estimate whose walls were extracted, these, and the map with the openings between them.
         self._extracted: MapEstimate | None = None
         self._pieces: list[Piece] = []
-        self._within: MapEstimate | None = None
+        self._with_openings: MapEstimate | None = None
         self._is_sound = False
         if collector.has_drive:
             self._go_on()
@@ -144,31 +144,30 @@ class LiveMapper:
     @property
     def pieces(self) -> list[Piece]:
         """The walls of the last solution, with their ends, without their accuracy."""
-        _ = self._within_ends
+        self._extract()
         return self._pieces
 
-    @property
-    def _within_ends(self) -> MapEstimate | None:
-        """The last solution, its walls as far as their ends (`within_ends`)."""
+    def _extract(self) -> MapEstimate | None:
+        """Extract the walls of the last solution, unless that was done; return it with the openings between them."""
         if self._extracted is not self.estimate and self.estimate is not None:
             self._pieces = extract_walls(self.estimate, with_accuracy=False)
-            self._within = within_ends(self.estimate, self._pieces)
+            self._with_openings = with_openings(self.estimate, self._pieces)
             self._extracted = self.estimate
-        return self._within
+        return self._with_openings
 
     @property
     def walls(self) -> Floats:
         """Measured parts (w, 4) of walls, and points as short ones."""
-        within = self._within_ends
-        return np.zeros((0, 4)) if within is None else walls_and_posts(within)
+        estimate = self._extract()
+        return np.zeros((0, 4)) if estimate is None else walls_and_posts(estimate)
 
     def walls_facing(self, place: Floats) -> Floats:
         """Return those (n, 4) of `walls` that were measured from the side on which a place (2,) is, and points.
 
         Others may be the far faces of thick walls.
         """
-        within = self._within_ends
-        return np.zeros((0, 4)) if within is None else walls_and_posts(within, place)
+        estimate = self._extract()
+        return np.zeros((0, 4)) if estimate is None else walls_and_posts(estimate, place)
 
     @property
     def is_sound(self) -> bool:
@@ -300,40 +299,32 @@ def walls_and_posts(estimate: MapEstimate, place: Floats | None = None) -> Float
     ))  # fmt: skip
 
 
-def within_ends(estimate: MapEstimate, pieces: Sequence[Piece]) -> MapEstimate:
-    """Return a map without what was measured of walls beyond closed ends, and between two of these.
+def with_openings(estimate: MapEstimate, pieces: Sequence[Piece]) -> MapEstimate:
+    """Return a map without what was measured of walls between two closed ends that face each other.
 
     Echoes of the posts of an opening seem to come from the wall beside it, up to 20 in beyond its end: a robot would
-    not fit through an opening of 40 in. A part of a wall of which nothing has ends stays as it is.
+    not fit through an opening of 40 in. What was measured beyond the last end of a wall stays: if that end is wrong by
+    an inch, the robot would touch the wall.
     """
     parts = list[tuple[float, float, float]]()
     for wall in np.unique(estimate.runs[:, 0]).tolist():
         angle, runs = float(estimate.state.walls[int(wall), 0]), estimate.runs[estimate.runs[:, 0] == wall, 1:].tolist()
         along = np.array((-np.sin(angle), np.cos(angle)))
-        # 1. Where there is no wall: before and beyond closed ends, and between two of them.
         own = sorted((piece for piece in pieces if piece.wall == wall), key=lambda piece: piece.low)
-        ends = [(piece.ends @ along).tolist() for piece in own]
-        gaps = [
-            (one[1], other[0]) for (one, before), (other, after) in pairwise(zip(ends, own, strict=True))
-            if before.closed[1] and after.closed[0]
+        openings = [
+            (float(one.ends[1] @ along), float(other.ends[0] @ along))
+            for one, other in pairwise(own) if one.closed[1] and other.closed[0]
         ]  # fmt: skip
-        if own and own[0].closed[0]:
-            gaps = [(-np.inf, ends[0][0]), *gaps]
-        if own and own[-1].closed[1]:
-            gaps.append((ends[-1][1], np.inf))
-        # 2. What was measured elsewhere. A wall without any part would be known all along its line.
-        kept = list[tuple[float, float, float]]()
-        for first, last in runs:
-            is_known = any(piece.low < last and piece.high > first for piece in own)
-            kept += [(wall, *part) for part in _outside(first, last, gaps if is_known else ())]
+        kept = [(wall, *part) for first, last in runs for part in _outside(first, last, openings)]
+        # A wall without any part would be known all along its line.
         parts += kept or [(wall, first, last) for first, last in runs]
-    within = estimate.copy()
-    within.runs = np.array(parts, dtype=np.float64).reshape(-1, 3)
-    return within
+    found = estimate.copy()
+    found.runs = np.array(parts, dtype=np.float64).reshape(-1, 3)
+    return found
 
 
 def _outside(first: float, last: float, gaps: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the parts of an interval outside of gaps (low, high), which are in order."""
+    """Return the parts of an interval outside of gaps (low, high), which are in order along it."""
     parts = list[tuple[float, float]]()
     for low, high in gaps:
         if first < min(low, last):

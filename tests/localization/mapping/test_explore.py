@@ -27,7 +27,7 @@ from localization.mapping.explore import (
     pushed,
     rests_of_corners,
 )
-from localization.mapping.live import LiveMapper, passed, walls_and_posts, within_ends
+from localization.mapping.live import LiveMapper, passed, walls_and_posts, with_openings
 from localization.mapping.measurements import read_drive
 from localization.mapping.problem import NO_FEATURE, MapProblem
 from localization.mapping.survey import Geofence, Plan, Point
@@ -122,18 +122,17 @@ def test_line_that_goes_on_beyond_a_door_leaves_it_open(estimate: MapEstimate) -
     [
         # Coordinates from the middle of a wall that its echoes show from -50 to 50: spots, ends, and whether closed.
         ([], [(-50.0, 50.0)]),
-        ([((-50.0, 50.0), (-45.0, 60.0), (True, True))], [(-45.0, 50.0)]),
+        ([((-50.0, 50.0), (-45.0, 40.0), (True, True))], [(-50.0, 50.0)]),
         ([((-50.0, -20.0), (-52.0, -18.0), (True, True)), ((20.0, 45.0), (19.0, 48.0), (True, True))],
-         [(-50.0, -18.0), (19.0, 48.0)]),
+         [(-50.0, -18.0), (19.0, 50.0)]),
         ([((-50.0, -20.0), (-52.0, -20.0), (True, False)), ((20.0, 45.0), (19.0, 48.0), (True, False))],
          [(-50.0, 50.0)]),
-        ([((-50.0, -20.0), (-52.0, -18.0), (True, True)), ((20.0, 45.0), (19.0, 48.0), (False, True))],
-         [(-50.0, 48.0)]),
-        # A piece of nothing: the wall is still there.
-        ([((40.0, 49.0), (55.0, 45.0), (True, True))], [(-50.0, 50.0)]),
+        # The whole run lies in an opening: the wall is still there.
+        ([((-80.0, -60.0), (-80.0, -55.0), (True, True)), ((60.0, 80.0), (55.0, 80.0), (True, True))],
+         [(-50.0, 50.0)]),
     ],
 )  # fmt: skip
-def test_walls_reach_as_far_as_their_closed_ends(
+def test_walls_are_open_between_ends_that_face_each_other(
     estimate: MapEstimate,
     pieces: list[tuple[tuple[float, float], tuple[float, float], tuple[bool, bool]]],
     parts: list[tuple[float, float]],
@@ -148,10 +147,10 @@ def test_walls_reach_as_far_as_their_closed_ends(
         ends = offset * normal + (middle + np.array(at))[:, None] * along
         own.append(Piece(0, middle + low, middle + high, ends, [*closed], 9))
     before = made.runs.copy()
-    within = within_ends(made, own)
+    found = with_openings(made, own)
     np.testing.assert_array_equal(made.runs, before)
-    np.testing.assert_array_equal(within.runs[within.runs[:, 0] != 0], before[before[:, 0] != 0])
-    np.testing.assert_allclose(within.runs[within.runs[:, 0] == 0, 1:] - middle, parts, atol=1e-9)
+    np.testing.assert_array_equal(found.runs[found.runs[:, 0] != 0], before[before[:, 0] != 0])
+    np.testing.assert_allclose(found.runs[found.runs[:, 0] == 0, 1:] - middle, parts, atol=1e-9)
 
 
 def test_robot_comes_back_through_a_door_mapped_too_narrow() -> None:
