@@ -35,10 +35,10 @@ from localization.mapping.revision import (
     absorb_points,
     add_posts,
     close_wall_ends,
-    drop_chance_walls,
     drop_corner_cuts,
     drop_hidden,
     drop_slanted,
+    drop_spurious_walls,
     drop_unmeasured,
     join_points,
     part_late_points,
@@ -165,7 +165,7 @@ class MapLearner:
         turn_walls(self.estimate)
         square(self.estimate)
         drop_slanted(self.estimate)
-        drop_chance_walls(self.estimate)
+        drop_spurious_walls(self.estimate)
         # Walls that were two by the weights of before.
         if merge(self.estimate):
             tie_points(self.estimate)

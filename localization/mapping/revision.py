@@ -159,7 +159,7 @@ def _losses(estimate: MapEstimate, first_node: int) -> Floats:
     return losses
 
 
-def drop_chance_walls(estimate: MapEstimate) -> int:
+def drop_spurious_walls(estimate: MapEstimate) -> int:
     """Remove walls most of whose echoes other walls would explain where the total cost falls; return their number.
 
     A line that leads through parts of two walls takes from each the echoes whose noise suits it. Single echoes do not

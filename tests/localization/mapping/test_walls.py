@@ -524,7 +524,7 @@ def test_measured_spots_of_a_surface_are_part_of_the_map(
 @pytest.mark.parametrize("slope_deg", [2.0, 4.0])
 def test_wall_of_echoes_that_others_explain_is_none(estimate: MapEstimate, slope_deg: float) -> None:
     found, walls_before = estimate.copy(), len(estimate.state.walls)
-    assert revision.drop_chance_walls(found) == 0
+    assert revision.drop_spurious_walls(found) == 0
     # Through the middle of the wall at y = -25, whose echoes are within the noise of both lines.
     angle = -0.5 * np.pi + radians(slope_deg)
     normal = np.array((np.cos(angle), np.sin(angle)))
@@ -535,7 +535,7 @@ def test_wall_of_echoes_that_others_explain_is_none(estimate: MapEstimate, slope
     found.optimize()
     found.associate()
     assert len(found.echoes_of(walls_before)) > 5
-    assert revision.drop_chance_walls(found) == 1
+    assert revision.drop_spurious_walls(found) == 1
     assert len(found.state.walls) == walls_before
     assert found.cost == pytest.approx(estimate.cost, abs=1.0)
 
