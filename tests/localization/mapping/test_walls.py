@@ -103,6 +103,21 @@ def test_wall_that_stops_sound_is_no_point(
     assert pass_through(opened.state.walls, south, 1.0).any() == stops_sound
 
 
+@pytest.mark.parametrize(("moved_in", "walls_added"), [(0.5, 1), (5.0, 2)])
+def test_wall_that_turns_away_from_its_points_is_added_once(
+    opened: MapEstimate, monkeypatch: pytest.MonkeyPatch, moved_in: float, walls_added: int
+) -> None:
+    """The points move when everything is optimized, and change their order; 5 in farther there are others."""
+    first, second = (10.0, -25.0), (36.0, -25.0)
+    spans = [
+        Span(0, 1, np.array((*first, *second)), 9),
+        *(Span(0, 1, np.array((*second, *first)) + moved_in, 9) for _ in range(9)),
+    ]
+    monkeypatch.setattr(revision, "uncrossed_spans", lambda *_: [spans.pop(0)])
+    monkeypatch.setattr(revision, "_try_join", lambda *_: True)
+    assert join_points(opened) == walls_added
+
+
 def test_points_with_sound_between_them_are_none(estimate: MapEstimate, opened: MapEstimate) -> None:
     found = estimate.copy()
     found.add_point(np.array((20.0, 25.0)))
