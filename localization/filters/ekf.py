@@ -60,8 +60,8 @@ class KalmanFilter(Filter):
         7  correct      x = x- + K innovation                   update.py: shift
                         P = P- - K S K^T                        belief.py: add_outer
         8  slip         evidence that the wheels slipped        health.py: add_slip_evidence
-        9  heading,     evidence of another heading, once       heading_test.py: HeadingTest.correction
-           cones        many readings are outliers
+        9  heading,     evidence of another heading; among      heading_test.py: HeadingTest.correction
+           cones        planes once many readings are outliers
 
     A cone has 3 to 5 for each reflector j, and 7 for their mixture (`update.pda_update`). The iterated filter repeats
     3 to 5 at the most likely state (`update.iterated`). The unscented filter has sigma points for the derivatives: in 2
@@ -247,7 +247,8 @@ class KalmanFilter(Filter):
         """
         assert self._headings is not None
         self._headings.add(poses, echoes)
-        if self._used[-1][OUTLIERS] < MIN_OUTLIERS:
+        # In a building an echo that fits no wall is no outlier, so that hardly any are.
+        if not self._measurement.level_stds and self._used[-1][OUTLIERS] < MIN_OUTLIERS:
             return False
         x, P = self._x, self._P
         turn_rad, evidence_nats = self._headings.correction(x, P)

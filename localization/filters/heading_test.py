@@ -45,8 +45,7 @@ READINGS: Final = 24
 MIN_READINGS: Final = 8
 """From one comparison to the next there are so many new readings: half a round."""
 MIN_OUTLIERS: Final = 0.3
-"""Recent fraction of outliers from which headings are compared: three times that of a Polaroid ring. In a building,
-where many echoes are of things that are not on the map, it is often exceeded."""
+"""Recent fraction of outliers from which headings are compared among planes: three times that of a Polaroid ring."""
 STEP_RAD: Final = 0.05
 """Headings are compared in steps of a ninth of a cone of 26 degrees, and the cones blurred by as much."""
 MAX_SIGMAS: Final = 5.0
