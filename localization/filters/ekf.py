@@ -247,7 +247,7 @@ class KalmanFilter(Filter):
         """
         assert self._headings is not None
         self._headings.add(poses, echoes)
-        # In a building an echo that fits no wall is no outlier, so that hardly any are.
+        # In a building an echo that fits no wall is no outlier: their fraction may stay low with a wrong heading.
         if not self._measurement.level_stds and self._used[-1][OUTLIERS] < MIN_OUTLIERS:
             return False
         x, P = self._x, self._P

@@ -135,7 +135,7 @@ class HeadingTest:
     def _repeats(self, one: FiredAt, other: FiredAt) -> bool:
         """Return True for readings from one place along one axis, by the encoders, whichever the sonars.
 
-        `update.count_along_axis` tells so only of the readings that the filter has used.
+        `update.count_along_axis` compares only readings that the filter has used, of one sonar.
         """
         (x, y, _, turret), (other_x, other_y, _, other_turret) = one.encoders, other.encoders
         turned_rad = turret + self._model.mounts[one.sonar][0] - other_turret - self._model.mounts[other.sonar][0]

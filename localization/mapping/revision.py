@@ -641,14 +641,14 @@ def join_points(estimate: MapEstimate) -> int:
     """Add walls between two points where no sound has passed and the total cost falls, and return their number.
 
     A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
-    Where sound should have passed, or sonars have measured a surface, the wall need not pay for itself. So it is added
-    once alone: it may turn away from its points when everything is optimized, and the next one as well.
+    Where sound should have passed, or sonars have measured a surface, the wall need not pay for itself. It is
+    added once only: if it turns away from its points when everything is optimized, so may all that follow it.
     """
     joined, tried = list[Floats](), set[tuple[float, ...]]()
     while True:
         for span in uncrossed_spans(estimate, free_paths(estimate)):
             key = tuple(span.ends.tolist())
-            if key in tried or _is_between(span, joined):
+            if key in tried or _was_joined(span, joined):
                 continue
             tried.add(key)
             if _try_join(estimate, span):
@@ -658,12 +658,12 @@ def join_points(estimate: MapEstimate) -> int:
             return len(joined)
 
 
-def _is_between(span: Span, others: list[Floats]) -> bool:
-    """Return True for a span between two points of another one (4,), which may have moved by POINT_ON_WALL_IN."""
+def _was_joined(span: Span, joined: list[Floats]) -> bool:
+    """Return True for a span whose points were joined (4,), and have moved by less than POINT_ON_WALL_IN since."""
     ends = span.ends.reshape(2, 2)
     return any(
         float(np.hypot(*(ends - turned).T).max()) < POINT_ON_WALL_IN
-        for other in others for turned in (other.reshape(2, 2), other.reshape(2, 2)[::-1])
+        for before in joined for turned in (before.reshape(2, 2), before.reshape(2, 2)[::-1])
     )
 
 
