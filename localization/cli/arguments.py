@@ -21,7 +21,7 @@ from localization.live import assumptions
 from localization.live import estimate as saved_estimate
 from localization.live.assumptions import SIMULATION, decide_by_readings
 from localization.live.run import Run
-from localization.live.sensor_input import EncoderPose, restart_ring, with_wheels
+from localization.live.sensor_input import EncoderPose, Pose, restart_ring, with_wheels
 from localization.mapping.aliases import AliasFinder
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
@@ -365,6 +365,17 @@ def start_source(options: argparse.Namespace) -> str:
     if options.start:
         return UNKNOWN if options.start == UNKNOWN else "start"
     return ENCODERS
+
+
+def start_in_map(options: argparse.Namespace, world: World, belief: Belief) -> Pose | None:
+    """Return the start in the frame of a learned map, which is not that of the simulated world (`GroundTruth`).
+
+    None of a map that was drawn, and where the start is not known. A learned map has no rooms, but measured walls.
+    """
+    if world.rooms or not world.accuracies or start_source(options) == UNKNOWN:
+        return None
+    x, y, heading = belief.mean[:POSE].tolist()
+    return x, y, heading
 
 
 def describe_start(options: argparse.Namespace, belief: Belief) -> str:

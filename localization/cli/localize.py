@@ -184,7 +184,11 @@ def _drive(robot: Robot, world: World, done: Run, options: argparse.Namespace, s
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a contact, a stall or the time limit.
-        ground_truth, printed_s = GroundTruth(robot, simulated), -math.inf
+        own_start = arguments.start_in_map(options, world, belief)
+        ground_truth, printed_s = GroundTruth(robot, simulated, own_start), -math.inf
+        done.has_own_frame = own_start is not None
+        if simulated and done.has_own_frame and not options.json:
+            print("errors are those since the start: a learned map has a frame of its own", flush=True)
         stall_detector, contact_detector = StallDetector(options.speed), ContactDetector()
         misfit_detector = None if options.method == FINDER else MisfitDetector()
         for progress in follow_waypoints(robot, localizer, navigator, robot.sleep, PoseSmoother(options.smooth)):

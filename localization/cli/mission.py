@@ -85,7 +85,7 @@ class MissionContext(NamedTuple):
 
     controller: pilot.RobotController
     robot: Robot
-    simulated: bool
+    ground_truth: GroundTruth
     sonars: SonarAssumption
     echoes: list[Echo]
     goals: list[pilot.Point]
@@ -104,10 +104,8 @@ class MissionContext(NamedTuple):
         std_x, std_y, std_heading = (float(value) for value in estimate.belief.std[:3])
         report.std = std_x, std_y, std_heading
         with contextlib.suppress(NomadError):
-            if self.simulated:
-                # Of a simulation only, and only while it is still connected.
-                truth = self.robot.truth()
-                report.truth = truth.x_in, truth.y_in, truth.steering_rad
+            # Of a simulation only, and only while it is still connected.
+            report.truth = self.ground_truth.now()
         return report
 
     def save(self, options: argparse.Namespace) -> bool:
@@ -141,11 +139,12 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
                             alike=arguments.find_alike(world, config, belief)) as method,
             pilot.RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):
-            context = MissionContext(controller, robot, simulated, sonars, [], [], world)
+            ground_truth = GroundTruth(robot, simulated, arguments.start_in_map(options, world, belief))
+            context = MissionContext(controller, robot, ground_truth, sonars, [], [], world)
             # 3. Observers.
             controller.observers.append(lambda observation: context.echoes.extend(observation.estimate.echoes))
             if publisher:
-                progress = pilot.ProgressPublisher(publisher, GroundTruth(robot, simulated), context.goals)
+                progress = pilot.ProgressPublisher(publisher, ground_truth, context.goals)
                 controller.observers.append(progress)
                 progress(controller.last)
             yield context

@@ -36,7 +36,16 @@ import numpy as np
 
 from localization.experiments.execution import add_choice, add_shared, executor_for, parser_of, progress, text_table
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
-from localization.filters.belief import HEADING, Floats, independent, wrap_angle
+from localization.filters.belief import (
+    HEADING,
+    Floats,
+    compose,
+    independent,
+    relative_pose,
+    rigid_fit,
+    rotate,
+    wrap_angle,
+)
 from localization.filters.sonar_cone import ConeSonar, building_sonar
 from localization.live.assumptions import BUILDING_SETUP, RING_SETUPS
 from localization.live.localizer import Localizer
@@ -352,9 +361,9 @@ def disturbed(log: DriveLog, disturbance: str, seed: int) -> DriveLog:
         turret = wrap_angle(encoders[:, 4] - encoders[:, 3])
         scales = np.array((DISTANCE_SCALE, DISTANCE_SCALE, TURN_SCALE))
         for row, (one, other) in enumerate(pairwise(log.encoders[:, 1:4])):
-            step = measurements.relative_pose(one, other)
+            step = relative_pose(one, other)
             step[HEADING] = wrap_angle(step[HEADING])
-            encoders[row + 1, 1:4] = measurements.compose(encoders[row, 1:4], scales * step)
+            encoders[row + 1, 1:4] = compose(encoders[row, 1:4], scales * step)
         encoders[:, 4] = encoders[:, 3] + turret
     return replace(log, encoders=encoders, readings_in=np.clip(np.round(readings), MIN_ECHO_IN, NO_ECHO_IN))
 
@@ -373,14 +382,14 @@ def _slowed(speed_in_s: float, navigator: Navigator, seen: Truth) -> float:
 
 def fit_error(points: Floats, targets: Floats) -> float:
     """Return the root mean square distance (in) of points from targets after the best rigid fit."""
-    turn, shift = measurements.rigid_fit(points, targets)
-    fitted = measurements.rotate(points, np.full(len(points), turn)) + shift
+    turn, shift = rigid_fit(points, targets)
+    fitted = rotate(points, np.full(len(points), turn)) + shift
     return float(np.sqrt(np.square(fitted - targets).sum(axis=-1).mean()))
 
 
 def closing_error(path: Floats, targets: Floats) -> float:
     """Return the error (in) of the last position of a path (n, 3) in the frame of its first pose."""
-    ends = [measurements.rotate(poses[-1, :2] - poses[0, :2], np.array(-poses[0, 2])) for poses in (path, targets)]
+    ends = [rotate(poses[-1, :2] - poses[0, :2], np.array(-poses[0, 2])) for poses in (path, targets)]
     return float(np.hypot(*(ends[0] - ends[1])))
 
 
@@ -399,7 +408,7 @@ def map_fit(ends: Floats, walls: Floats, turn: float, shift: Floats) -> tuple[fl
     of_each = np.broadcast_to(walls, (len(ends), *walls.shape[-2:]))
     for _ in range(FIT_STEPS):
         # 1. The true wall at each learned one, if there is one.
-        placed = measurements.rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
+        placed = rotate(ends.reshape(-1, 2), np.full(2 * len(ends), turn)) + shift
         rows, targets, sizes = [], [], []
         for learned, near in zip(placed.reshape(-1, 2, 2), of_each, strict=True):
             turned = np.array([_turn_between(wall, learned) for wall in near])
@@ -439,7 +448,7 @@ def surface_fit(spots: Floats, walls: Floats, surfaces: Surfaces, turn: float, s
     left = np.stack((-along[:, 1], along[:, 0]), axis=-1)
     for _ in range(FIT_STEPS):
         # 1. How far each spot is from the surface of the nearest wall that it is beside, and the normal there.
-        placed = measurements.rotate(spots, np.full(len(spots), turn)) + shift
+        placed = rotate(spots, np.full(len(spots), turn)) + shift
         off = placed[:, None] - walls[:, :2]
         at, beside = (off * along).sum(axis=-1), (off * left).sum(axis=-1)
         levels = np.stack([
@@ -501,10 +510,10 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
     true_path = driven.truth_at(instants_s)[:, :2]
     # 1. The learned walls in the frame of the world.
     turn, shift = _fit_of(found, walls, trial.surfaces, true_path)
-    ends = [measurements.rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
+    ends = [rotate(wall.ends, np.full(2, turn)) + shift for wall in found.walls]
     beside = _lines_of(found, walls, trial.surfaces, turn, shift)
     sides = [
-        (measurements.rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
+        (rotate(side.reshape(2, 2), np.full(2, turn)) + shift, walls)
         for outline in found.outlines for side in polygon_segments(outline.corners)
     ]  # fmt: skip
     # 2. Walls of the world: the fraction of the visible samples near a learned wall of the same direction.
@@ -534,7 +543,7 @@ def score(trial: Trial, driven: Drive, found: LearnedMap, instants_s: Floats, od
         if is_near.mean() < FOUND_FRACTION:
             false += 1
             continue
-        measured = measurements.rotate(piece.measured_ends, np.full(2, turn)) + shift
+        measured = rotate(piece.measured_ends, np.full(2, turn)) + shift
         number, offset, angle = _error(learned, measured.mean(axis=0), lines)
         placed.append((number, lines[number], learned))
         offsets.append(abs(offset))
@@ -582,7 +591,7 @@ def distance_to_corner(
 def _outline_score(world: World, found: LearnedMap, turn: float, shift: Floats) -> dict[str, int]:
     """Return the numbers of boxes, of those whose outline is closed, and of false outlines."""
     boxes = [np.array(solid.corners_in) for solid in world.obstacles if lengths(solid.segments()).min() >= MIN_BOX_IN]
-    outlines = [measurements.rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
+    outlines = [rotate(outline.corners, np.full(4, turn)) + shift for outline in found.outlines]
 
     def is_of(outline: Floats, box: Floats) -> bool:
         away = np.hypot(*(outline[:, None] - box).transpose(2, 0, 1))
@@ -605,7 +614,7 @@ def _moved_onto(samples: Floats, wall: Floats, line: Floats) -> Floats:
 
 def _fit_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_path: Floats) -> tuple[float, Floats]:
     """Return the turn and the shift (2,) of a learned map into the frame of the world."""
-    turn, shift = measurements.rigid_fit(found.path[:, :2], true_path)
+    turn, shift = rigid_fit(found.path[:, :2], true_path)
     if surfaces is not None:
         spots = np.concatenate([np.empty((0, 3)), *(wall.surface for wall in found.walls)])[:, :2]
         return surface_fit(spots, walls, surfaces, turn, shift)
@@ -615,7 +624,7 @@ def _fit_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, true_pa
 def _lines_of(found: LearnedMap, walls: Floats, surfaces: Surfaces | None, turn: float, shift: Floats) -> Floats:
     """Return the true walls (n, m, 4) beside the line of each learned wall, which a turn and a shift (2,) place."""
     measured = np.array([wall.measured_ends for wall in found.walls]).reshape(-1, 2)
-    placed = (measurements.rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
+    placed = (rotate(measured, np.full(len(measured), turn)) + shift).reshape(-1, 2, 2)
     beside = [lines_beside(walls, surfaces, part) for part in placed]
     return np.array(beside).reshape(len(placed), len(walls), 4)
 
@@ -661,7 +670,7 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
     clock = driven.log.encoders[:, 0]
     true = driven.truth_at(clock)
     # 1. The true start in the frame of the map.
-    begin = measurements.rotate(true[0, :2] - shift, np.array(-turn))
+    begin = rotate(true[0, :2] - shift, np.array(-turn))
     start = independent(np.array((*begin, true[0, 2] - turn)), np.array((0.5, 0.5, radians(2.0))))
     ring = building_sonar(N150.ring) if setup == BUILDING_SETUP else sonar_of(N150.ring, rays=setup not in RING_SETUPS)
     config = LocalizationConfig.in_world(world, N150, THESIS_ODOMETRY, ring)
@@ -674,7 +683,7 @@ def localization_error(driven: Drive, world: World, turn: float, shift: Floats, 
             readings[int(driven.log.sonars[echo])] = float(driven.log.readings_in[echo])
             echo += 1
         found.append(localizer.update(SensorData(clock_s, x, y, heading, turret, tuple(readings))).pose[:2])
-    estimate = measurements.rotate(np.array(found), np.full(len(found), turn)) + shift
+    estimate = rotate(np.array(found), np.full(len(found), turn)) + shift
     return float(np.sqrt(np.square(estimate - true[:, :2]).sum(axis=-1).mean()))
 
 

@@ -30,14 +30,14 @@ import numpy as np
 
 from localization.cli.arguments import make_folder
 from localization.experiments.execution import parser_of
-from localization.filters.belief import HEADING, Floats
+from localization.filters.belief import HEADING, Floats, rotate
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import cone_sonar
 from localization.live.sensor_input import read_log, without_echo
 from localization.mapping.association import MapEstimate
 from localization.mapping.consistency import LOOP_NODES, MIN_RETURN_ECHOES
 from localization.mapping.learn import learn_log
-from localization.mapping.measurements import Indices, drive_of_rows, rotate
+from localization.mapping.measurements import Indices, drive_of_rows
 from localization.mapping.output import LearnedMap, describe, draw_learned
 from localization.mapping.problem import COMMON_OFFSET
 from localization.plot import check_picture, save

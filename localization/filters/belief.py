@@ -204,6 +204,39 @@ def difference(state: Floats, origin: Floats) -> Floats:
     return add(state, -origin)
 
 
+def rotate(vectors: Floats, angles_rad: Floats) -> Floats:
+    """Return vectors (..., 2) turned counter-clockwise by angles (...)."""
+    c, s = np.cos(angles_rad), np.sin(angles_rad)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+
+
+def compose(poses: Floats, steps: Floats) -> Floats:
+    """Return poses (..., 3) followed by steps (..., 3) in their frames."""
+    return np.concatenate(
+        (poses[..., :2] + rotate(steps[..., :2], poses[..., 2]), poses[..., 2:] + steps[..., 2:]), axis=-1
+    )
+
+
+def relative_pose(origin: Floats, pose: Floats) -> Floats:
+    """Return poses (..., 3) in the frame of others: the inverse of `compose`."""
+    step: Floats = pose[..., :POSE] - origin[..., :POSE]
+    step[..., :2] = rotate(step[..., :2], -origin[..., HEADING])
+    return step
+
+
+def rigid_fit(points: Floats, targets: Floats) -> tuple[float, Floats]:
+    """Return the turn and the shift (2,) that bring points (n, 2) nearest to targets (n, 2).
+
+    References
+    ----------
+    Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point Patterns (1991), without scale.
+    """
+    a, b = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    return turn, targets.mean(axis=0) - rotate(points.mean(axis=0), np.array(turn))
+
+
 # The chi-square distribution, with the standard library only: the filter must not need scipy.
 
 _MIN_TERM: Final = 1e-16

@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 
 from localization.filters.base import EncoderRow, Filter, NewEcho, Place
-from localization.filters.belief import Floats, add, difference
+from localization.filters.belief import Floats, add, compose, difference, relative_pose, rigid_fit, rotate, wrap_angle
 from localization.filters.odometry import relative_step
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
@@ -101,6 +101,8 @@ class Run:
         Where the start pose comes from: resume, start, encoders or unknown.
     alike
         Poses (3,) that look like the start.
+    has_own_frame
+        Whether the map has another frame than the simulated world, in which true poses are placed by the start.
     """
 
     waypoints: list[tuple[float, float]]
@@ -109,6 +111,7 @@ class Run:
     sonars: SonarAssumption = ASSUME_CONES
     start: str = ""
     alike: Sequence[Floats] = ()
+    has_own_frame: bool = False
 
     def __post_init__(self) -> None:
         self._begin_s: float | None = None
@@ -144,6 +147,21 @@ class Run:
         """Return the position errors (k,) of the estimate in inches, of periods with ground truth."""
         found = [moment.error for moment in self.moments]
         return np.array([math.hypot(error[0], error[1]) for error in found if error is not None])
+
+    def fitted_errors_in(self) -> Floats:
+        """Return the position errors (k,) after the best rigid fit of the true path to the estimates, inches.
+
+        They do not depend on the frame of the map. A start that is given 1 degree wrong turns the whole true path.
+        """
+        pairs = [(moment.estimate.pose[:2], moment.truth[:2]) for moment in self.moments
+                 if moment.truth is not None and moment.error is not None]  # fmt: skip
+        if not pairs:
+            return np.empty(0)
+        estimates, true = np.array(pairs).swapaxes(0, 1)
+        turn, shift = rigid_fit(true, estimates)
+        off = estimates - rotate(true, np.full(len(true), turn)) - shift
+        found: Floats = np.hypot(off[:, 0], off[:, 1])
+        return found
 
     def odometry_errors_in(self) -> Floats:
         """Return the position errors (k,) of the encoders in inches, of periods with ground truth."""
@@ -206,10 +224,11 @@ class Run:
         # Without ground truth the keys are present with null, so that readers need no special case.
         errors = self.errors_in()
         if not len(errors):
-            return dict.fromkeys(("end_error_in", "rmse_position_in", "odometry_end_error_in"))
+            return dict.fromkeys(("end_error_in", "rmse_position_in", "rmse_fitted_in", "odometry_end_error_in"))
         return {
             "end_error_in": float(errors[-1]),
-            "rmse_position_in": float(np.sqrt((errors**2).mean())),
+            "rmse_position_in": _rms(errors),
+            "rmse_fitted_in": _rms(self.fitted_errors_in()) if self.has_own_frame else None,
             "odometry_end_error_in": float(self.odometry_errors_in()[-1]),
         }
 
@@ -228,9 +247,10 @@ class Run:
         ]
         # 2. Errors, with odometry alone for comparison.
         if result["end_error_in"] is not None:
+            fitted = f", {result['rmse_fitted_in']:.2f} in after the best rigid fit" if self.has_own_frame else ""
             lines.append(
                 f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
-                f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
+                f" in{fitted}); odometry alone is {result['odometry_end_error_in']:.2f} in off"
             )
         # 3. What the user may have to change.
         if self.stopped:
@@ -243,6 +263,10 @@ class Run:
                 "run the simulation slower"
             )
         return "\n".join(lines)
+
+
+def _rms(errors: Floats) -> float:
+    return float(np.sqrt((errors**2).mean()))
 
 
 def _count_refusals(echoes: Sequence[Echo]) -> dict[str, int]:
@@ -274,27 +298,47 @@ class GroundTruth:
     """True poses of a simulated robot, at the times of estimates; `robot_id` is 1 for a real robot.
 
     Filters never use it.
+
+    Parameters
+    ----------
+    robot, simulated
+        The robot, and whether it has a true pose.
+    start
+        On a map with a frame of its own, as a learned one has: the robot's pose there now. True poses are returned in
+        that frame, so their errors are those since the start. None: in the frame of the simulated world.
     """
 
-    def __init__(self, robot: Robot, simulated: bool) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, simulated: bool, start: Pose | None = None) -> None:
+        self._robot, self._start = robot, start
         self._sample: TruthSample | None = None
         self.robot_id = 1
         if simulated:
             self.robot_id, self._sample = self._request()
+            self._first = np.array(self._sample.pose)
 
-    def at(self, clock_s: float) -> tuple[float, float, float] | None:
+    def at(self, clock_s: float) -> Pose | None:
         """Return the true pose (in, in, rad) at a time since the last call; None for a real robot."""
         if self._sample is None:
             return None
         # The estimate's time lies between two queries: the true pose is interpolated between them.
         before, (_, self._sample) = self._sample, self._request()
-        return before.interpolate(self._sample, clock_s)
+        return self._placed(before.interpolate(self._sample, clock_s))
+
+    def now(self) -> Pose | None:
+        """Return the true pose (in, in, rad) of this moment; None for a real robot."""
+        return None if self._sample is None else self._placed(self._request()[1].pose)
 
     def moment(self, estimate: Estimate, state: RobotState, passed: int = 0) -> RunMoment:
         """Return a period of a run, with odometry and ground truth at the time of the estimate."""
         odometry = (state.x_in, state.y_in, state.steering_rad)
         return RunMoment(estimate, odometry, self.at(estimate.clock_s), passed, state.turret_rad)
+
+    def _placed(self, pose: Pose) -> Pose:
+        """Return a pose of the simulated world in the frame of the map."""
+        if self._start is None:
+            return pose
+        x, y, heading = compose(np.array(self._start), relative_pose(self._first, np.array(pose)))
+        return float(x), float(y), wrap_angle(float(heading))
 
     def _request(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()

@@ -18,10 +18,10 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import Floats, wrap_angle
+from localization.filters.belief import Floats, rotate, wrap_angle
 from localization.mapping.association import MapEstimate
 from localization.mapping.features import MIN_DIFFERENCE
-from localization.mapping.measurements import Indices, rotate
+from localization.mapping.measurements import Indices
 
 SAME_FRACTION: Final = 0.5
 """A wall or point is replaced if more of its echoes are those of the other map's wall."""

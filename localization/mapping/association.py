@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import Floats, wrap_angle
-from localization.mapping.measurements import Indices, compose
+from localization.filters.belief import Floats, compose, wrap_angle
+from localization.mapping.measurements import Indices
 from localization.mapping.problem import (
     COMMON_OFFSET,
     LEVEL_CELL_IN,

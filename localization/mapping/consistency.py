@@ -43,9 +43,9 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Floats, chi_square_quantile, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, chi_square_quantile, rotate, wrap_angle
 from localization.mapping.association import MapEstimate
-from localization.mapping.measurements import Indices, Trajectory, rotate
+from localization.mapping.measurements import Indices, Trajectory
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, WALL, Assignment, MapProblem, MapState
 from localization.mapping.reflectors import Mask, segments_of
 from localization.mapping.solver import NormalEquations

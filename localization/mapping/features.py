@@ -42,10 +42,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, Floats, rotate, wrap_angle
 from localization.mapping.association import MapEstimate, assign
 from localization.mapping.consistency import check_parts
-from localization.mapping.measurements import Indices, rotate
+from localization.mapping.measurements import Indices
 from localization.mapping.problem import (
     HALF_CONE_RAD,
     NO_FEATURE,

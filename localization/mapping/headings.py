@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Floats
+from localization.filters.belief import HEADING, Floats, rotate
 from localization.filters.odometry import OdometryNoise, process_variance
 from localization.mapping.association import MapEstimate, assign
-from localization.mapping.measurements import Indices, Trajectory, rotate
+from localization.mapping.measurements import Indices, Trajectory
 from localization.mapping.problem import NO_FEATURE, Assignment, Sensors, sensors_at
 
 TURN_STEP_RAD: Final = 0.05

@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 
+from localization.filters.belief import relative_pose
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.surface import SPOT_STD_IN
@@ -27,7 +28,7 @@ from localization.mapping.alternatives import adopt_walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.features import close_loops, find_births
 from localization.mapping.headings import LAG_NODES, align_heading, track
-from localization.mapping.measurements import DriveLog, build_trajectory, relative_pose
+from localization.mapping.measurements import DriveLog, build_trajectory
 from localization.mapping.merging import merge, open_faces, split, split_surfaces
 from localization.mapping.problem import PARAMETER_STDS, PLANES, MapProblem, Reflection
 from localization.mapping.revision import (

@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, compose, relative_pose, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringTime
@@ -37,8 +37,6 @@ from localization.mapping.measurements import (
     Indices,
     Steps,
     build_trajectory,
-    compose,
-    relative_pose,
 )
 from localization.mapping.problem import NO_FEATURE, Assignment, MapProblem
 from localization.mapping.reflectors import segments_of, sides_of

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, compose, relative_pose, rigid_fit, rotate, wrap_angle
 from localization.filters.odometry import OdometryParameter
 from localization.live.run import GroundTruth, Publisher
 from localization.mapping.association import MapEstimate
@@ -39,7 +39,6 @@ from localization.mapping.consistency import (
     least_explained,
 )
 from localization.mapping.live import LiveMapper
-from localization.mapping.measurements import compose, relative_pose, rigid_fit, rotate
 from localization.mapping.merging import find_undecided
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
 from localization.mapping.reflectors import crossings, segments_of

@@ -39,10 +39,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.belief import HEADING, POSE, Floats, wrap_angle
+from localization.filters.belief import HEADING, POSE, Floats, rotate, wrap_angle
 from localization.filters.sonar_cone import ConeSonar, range_jacobian, to_vertex, to_wall
 from localization.filters.sonar_ray import intersect_line
-from localization.mapping.measurements import Indices, Trajectory, rotate
+from localization.mapping.measurements import Indices, Trajectory
 from localization.mapping.solver import NormalEquations
 from worlds.world import SPOT_REACH_IN
 

@@ -19,11 +19,11 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from localization.filters.belief import Floats, wrap_angle
+from localization.filters.belief import Floats, rotate, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
 from localization.live.sensor_input import FiringSchedule, FiringTime, restart_ring
 from localization.mapping.live import LiveMapper, passed
-from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds, rotate
+from localization.mapping.measurements import COMPARED_ROUNDS, DriveCollector, DriveLog, compare_rounds
 from localization.mapping.problem import HALF_CONE_RAD
 from localization.mapping.reflectors import crossings
 from localization.navigation.control_law import (

@@ -20,9 +20,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, Floats, compose, rotate, wrap_angle
 from localization.mapping.association import MapEstimate
-from localization.mapping.measurements import compose, rotate
 from localization.mapping.output import MapRefused, describe
 from localization.mapping.problem import robust_weight
 from localization.mapping.reflectors import Mask

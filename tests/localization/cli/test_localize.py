@@ -15,7 +15,9 @@ from localization.live.run import Run
 from nclient import ReplyTimeout, Robot
 from nclient.cli import main
 from nclient.common.process import TerminatedBySignal
+from worlds.io import format_world, load_world
 from worlds.robots import Calibration, Spread, format_calibration
+from worlds.world import WallAccuracy, World
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
 TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
@@ -79,6 +81,27 @@ def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]
     result = json.loads(capsys.readouterr().out)
     assert result["end_error_in"] < 0.5
     assert 0 < result["odometry_end_error_in"] < 1.0
+
+
+def test_errors_on_a_learned_map_are_those_since_the_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The frame of the map has its origin where the robot stands in the simulated world, at (5, 5), and is turned."""
+    world = load_world("thesis_room")
+    quarter = np.array(((0.0, 1.0), (-1.0, 0.0)))
+    walls = (world.walls.reshape(-1, 2) - 5.0) @ quarter
+    measured = WallAccuracy(0.1, 0.001, 90.0)
+    learned = World("own", inner_walls=walls.reshape(-1, 4), accuracies=dict.fromkeys(range(4), measured))
+    file = tmp_path / "room.toml"
+    file.write_text(format_world(learned))
+    words = (f"{NOISY}&start=5,5,0", "--map", str(file), "--waypoints=-20,30")
+    assert localize(*words, "--start", "0,0,90") == 0
+    out = capsys.readouterr().out
+    assert "errors are those since the start: a learned map has a frame of its own" in out
+    assert "after the best rigid fit" in out
+    # A start that is given 2 degrees wrong turns the true path, and not that which is fitted.
+    assert localize(*words, "--start", "0,0,92", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["rmse_fitted_in"] < 0.4 < 0.6 < result["rmse_position_in"] < 2.0
+    assert result["truth"][:2] == pytest.approx([-20.0, 30.0], abs=4.0)
 
 
 @pytest.mark.long

@@ -28,11 +28,10 @@ from localization.experiments.mapping import (
     visible_samples,
 )
 from localization.filters.base import THESIS_ODOMETRY
-from localization.filters.belief import Floats, wrap_angle
+from localization.filters.belief import Floats, rigid_fit, rotate, wrap_angle
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.consistency import Part
 from localization.mapping.learn import learn_map
-from localization.mapping.measurements import rigid_fit, rotate
 from localization.mapping.output import LearnedMap, Quality, describe, draw_learned
 from localization.mapping.walls import Outline, Piece
 from tests.localization.mapping.drives import drive

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from localization.filters.belief import rotate
 from localization.mapping import learn
 from localization.mapping.alternatives import _moved, adopt_walls
 from localization.mapping.association import MapEstimate
 from localization.mapping.learn import MapLearner
-from localization.mapping.measurements import rotate
 
 TURN_RAD, SHIFT_IN = 0.02, np.array((1.5, -2.0))
 

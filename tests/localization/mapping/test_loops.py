@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from localization.filters.belief import relative_pose, rotate
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.association import MapEstimate
 from localization.mapping.features import _errors, _matched, close_loops
 from localization.mapping.learn import learn_map
-from localization.mapping.measurements import relative_pose, rotate
 from localization.mapping.merging import merge
 from localization.mapping.problem import MapProblem
 from tests.localization.mapping.drives import LAP, drive

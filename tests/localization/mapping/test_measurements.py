@@ -9,18 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.filters.belief import Belief, Floats, wrap_angle
+from localization.filters.belief import Belief, Floats, compose, rotate, wrap_angle
 from localization.filters.odometry import OdometryNoise, predict, step_between
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.measurements import (
-    DriveLog,
-    Steps,
-    build_trajectory,
-    compose,
-    integrate_odometry,
-    read_drive,
-    rotate,
-)
+from localization.mapping.measurements import DriveLog, Steps, build_trajectory, integrate_odometry, read_drive
 from localization.mapping.problem import sensors_at
 from nclient.cli import main
 from nclient.errors import RecordingError

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from localization.filters.belief import Floats, wrap_angle
+from localization.filters.belief import Floats, rotate, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
-from localization.mapping.measurements import Trajectory, build_trajectory, rotate
+from localization.mapping.measurements import Trajectory, build_trajectory
 from localization.mapping.problem import (
     LEVEL_CELL_IN,
     NO_FEATURE,

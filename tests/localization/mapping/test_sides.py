@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from localization.filters.belief import Floats
+from localization.filters.belief import Floats, rotate
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association
 from localization.mapping.association import MapEstimate, _hidden_points, _inner_feet, _runs, assign
 from localization.mapping.consistency import compare_returns, late_scores
 from localization.mapping.live import LiveMapper, walls_and_posts
-from localization.mapping.measurements import DriveCollector, rotate
+from localization.mapping.measurements import DriveCollector
 from localization.mapping.problem import (
     NO_FEATURE,
     NO_LEVEL,
