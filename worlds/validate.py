@@ -5,7 +5,8 @@
     crumb       a wall too short for any sonar to measure
     surface     measured spots that are not on their wall: it was moved without them
     start       a start where the robot does not fit
-    closed off  space that the robot fits into and cannot reach from the starts
+    closed off  space that the robot fits into and cannot reach from the starts; without rooms, what is open towards the
+                edge of the map is outside, as behind a wall that was measured from one side
 
 Space is searched on a grid: a passage wider than the robot by less than two grid steps may count as closed.
 """
@@ -82,7 +83,7 @@ def validate_world(world: World, radius_in: float, limits: ValidationLimits | No
         *_surfaces(world, limits),
         *_starts(world, radius_in),
         # Doors can be opened.
-        *_closed_off(find_free_space(replace(world, doors=()), radius_in), limits),
+        *_closed_off(find_free_space(replace(world, doors=()), radius_in), limits, has_outside=not world.rooms),
     ]
 
 
@@ -258,12 +259,16 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
             yield Finding("start", (start.x_in, start.y_in), words)
 
 
-def _closed_off(found: FreeSpace, limits: ValidationLimits) -> Iterator[Finding]:
-    """Yield each closed-off space, the largest first."""
+def _closed_off(found: FreeSpace, limits: ValidationLimits, *, has_outside: bool) -> Iterator[Finding]:
+    """Yield each closed-off space, the largest first; with an outside, none that the edge of the grid crosses."""
     # 1. Connected regions that no start reaches, by flood fill; those above the minimum area.
-    open_nodes = OpenNodes(found.fits & ~found.reached)
+    open_nodes, last = OpenNodes(found.fits & ~found.reached), np.array(found.fits.shape) - 1
     spaces = [open_nodes.flood(i, k) for i, k in np.argwhere(open_nodes.left).tolist()]
-    spaces = [space for space in spaces if len(space) and len(space) * found.step_in**2 >= limits.space_in2]
+    spaces = [
+        space for space in spaces
+        if len(space) and len(space) * found.step_in**2 >= limits.space_in2
+        and not (has_outside and ((space == 0) | (space == last)).any())
+    ]  # fmt: skip
     # 2. The position is the node nearest to the region's mean.
     for nodes in sorted(spaces, key=len, reverse=True):
         area = len(nodes) * found.step_in**2

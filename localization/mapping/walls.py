@@ -43,6 +43,7 @@ from localization.mapping.spans import (
     find_wall_ends,
     uncrossed_spans,
 )
+from worlds.geometry import nearest_points
 from worlds.world import SPOT_REACH_IN, SurfaceSpot, WallAccuracy
 
 MIN_CROSSED_GAP_IN: Final = 3.0
@@ -52,6 +53,8 @@ MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
 MIN_LENGTH_IN: Final = 2.0
 """Ends that were moved nearer to one another than this, or past one another, are those of no wall."""
+DOUBLED_IN: Final = 0.5
+"""Parallel walls nearer than this are one: `nomad map check` reports them."""
 MIN_SPOTS: Final = 5
 MAX_STRAY_SPOTS, MAX_ALONE, STRAY_GAP_IN = 4, 2, 8.0
 """So few spots beyond a point at the end of a wall, or so far from all others, are mistakes."""
@@ -73,6 +76,8 @@ OUTSIDE: Final = 0.9
 """Least fraction of the sonars that measured a side of a box which were outside."""
 WHOLE: Final = (-np.inf, np.inf)
 """The part of a wall that is all of it."""
+TOUCHING_IN: Final = 1e-7
+"""An end within this distance of another wall touches it."""
 ON_LINE_IN: Final = 0.01
 """A corner lies this near to both of its lines."""
 MAX_STD_IN: Final = 0.5
@@ -241,6 +246,7 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
             places = np.array((piece_lines[-1].at(low), piece_lines[-1].at(high)))
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
+    pieces, piece_lines = _without_doubled(pieces, piece_lines)
     # 3. Ends.
     pieces, piece_lines = _with_ends(pieces, piece_lines, points, estimate.surface_in)
     if with_accuracy:
@@ -427,6 +433,34 @@ def _are_no_strays(feet: Floats, is_clear: Mask, points: Floats) -> Mask:
     return is_kept
 
 
+def _without_doubled(pieces: list[Piece], lines: list[_Line]) -> tuple[list[Piece], list[_Line]]:
+    """Return pieces and their lines without those that lie on a longer one, which goes on as far as both.
+
+    The sides of a thin wall that was not measured at its end may be two walls of the map: they may be as far apart as
+    the sides of a thick one. Where they are not, they are written as one.
+    """
+    found = dict[int, Piece]()
+    for row in sorted(range(len(pieces)), key=lambda row: (-pieces[row].measured_in, row)):
+        piece, line = pieces[row], lines[row]
+        measured = np.array([line.at(coordinate) for coordinate in piece.measured])
+        for number, longer in found.items():
+            its = lines[number]
+            low, high = sorted((measured @ its.along).tolist())
+            first, last = longer.measured
+            if its.off(measured.reshape(-1)) < DOUBLED_IN and min(high, last) - max(low, first) > MIN_PIECE_IN:
+                begin, end = sorted(float(line.at(coordinate) @ its.along) for coordinate in (piece.low, piece.high))
+                begin, end, spots = min(longer.low, begin), max(longer.high, end), (min(low, first), max(high, last))
+                found[number] = replace(
+                    longer, low=begin, high=end, ends=np.array((its.at(begin), its.at(end))),
+                    echoes=longer.echoes + piece.echoes, spots=None if spots == (begin, end) else spots,
+                )  # fmt: skip
+                break
+        else:
+            found[row] = piece
+    rows = sorted(found)
+    return [found[row] for row in rows], [lines[row] for row in rows]
+
+
 def _owner_of(
     span: Span, lines: list[_Line], runs_of: list[list[tuple[float, float, int]]], near_in: float, has_levels: bool
 ) -> int | None:
@@ -504,9 +538,11 @@ def _with_ends(
     while True:
         # 1. As if all of them were walls.
         found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
+        _end_at_dividers(found, lines)
         _join_corners(found, lines, points[:0] if surface_in else points)
         _move_ends_to_points(found, lines, points)
-        _close_small_gaps(found, lines, surface_in)
+        _close_gaps_in_line(found, lines)
+        _close_small_gaps(found, surface_in)
         # 2. Once more without those that are none.
         is_long = [
             float((piece.ends[1] - piece.ends[0]) @ line.along) >= MIN_LENGTH_IN
@@ -515,6 +551,30 @@ def _with_ends(
         if all(is_long):
             return found, lines
         pieces, lines = list(compress(pieces, is_long)), list(compress(lines, is_long))
+
+
+def _end_at_dividers(pieces: list[Piece], lines: list[_Line]) -> None:
+    """Let walls that lead by a span past the end of another one, behind which nothing was measured, end there.
+
+    Behind a wedge no sound passes, and its posts make spans that no path has crossed. What is there is not known; both
+    parts of the wall that it divides, whose surfaces may stand out differently, would lie side by side.
+    """
+    for piece, line in zip(pieces, lines, strict=True):
+        first, last = piece.measured
+        for other, divider in zip(pieces, lines, strict=True):
+            slope = float(line.along @ divider.normal)
+            if other is piece or abs(slope) < np.sin(MIN_CORNER_RAD):
+                continue
+            at = (divider.offset - float(line.at(0.0) @ divider.normal)) / slope
+            along, ends = float(line.at(at) @ divider.along), other.measured
+            nearest = min(ends, key=lambda end: abs(end - along))
+            is_near = ends[0] - MAX_GAP_IN < along < ends[1] + MAX_GAP_IN
+            if not is_near or divider.is_crossed(min(nearest, along), max(nearest, along)):
+                continue
+            if piece.low < at < first:
+                piece.low, piece.ends[0] = at, line.at(at)
+            elif last < at < piece.high:
+                piece.high, piece.ends[1] = at, line.at(at)
 
 
 def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
@@ -592,30 +652,49 @@ SMALL_GAP_IN: Final = 4.0
 """A gap that `nomad map check` reports, and that no robot passes."""
 
 
-def _close_small_gaps(pieces: list[Piece], lines: list[_Line], surface_in: float) -> None:
-    """Move ends that stop just before another wall onto it.
+def _close_gaps_in_line(pieces: list[Piece], lines: list[_Line]) -> None:
+    """Let a wall that ends just before another one on its line, at the faces of a thick wall, reach that one's end."""
+    for piece, line in zip(pieces, lines, strict=True):
+        for end in np.flatnonzero(piece.closed).tolist():
+            sign = 1.0 if end else -1.0
+            for other, its in zip(pieces, lines, strict=True):
+                off = other.ends - piece.ends[end]
+                ahead, across = sign * (off @ line.along), np.abs(off @ line.normal)
+                is_next = (ahead > ON_LINE_IN) & (ahead < SMALL_GAP_IN) & (across < DOUBLED_IN)
+                nearest = int(ahead.argmin())
+                is_parallel = abs(float(its.along @ line.normal)) < np.sin(MIN_CORNER_RAD)
+                if is_parallel and is_next[nearest] and other.closed[nearest]:
+                    piece.ends[end] = other.ends[nearest]
+
+
+def _close_small_gaps(pieces: list[Piece], surface_in: float) -> None:
+    """Move ends that stop just before another wall, and touch none, onto it.
 
     The end of that one may be at the other part of a wall that it divides, whose surface stands out differently.
     """
     beyond_in = SMALL_GAP_IN + surface_in
-    for piece, own in zip(pieces, lines, strict=True):
+    # All ends move along their walls. Both ends of one across another wall may come to the same place.
+    walls = [(piece, piece.along) for piece in pieces if piece.length_in >= MIN_LENGTH_IN]
+    for piece, own in walls:
         for end in range(2):
-            for other, line in zip(pieces, lines, strict=True):
-                if other is piece:
+            others = [(other, along) for other, along in walls if other is not piece]
+            segments = np.array([other.ends for other, _ in others]).reshape(-1, 4)
+            if nearest_points(piece.ends[end], segments)[1].min(initial=np.inf) < TOUCHING_IN:
+                continue
+            for other, along in others:
+                normal = np.array((-along[1], along[0]))
+                slope, distance = float(own @ normal), float((piece.ends[end] - other.ends[0]) @ normal)
+                if abs(slope) < np.sin(MIN_CORNER_RAD) or abs(distance) >= SMALL_GAP_IN:
                     continue
-                slope = float(own.along @ line.normal)
-                distance = float(piece.ends[end] @ line.normal) - line.offset
-                coordinates = sorted((other.ends @ line.along).tolist())
-                if abs(slope) < np.sin(MIN_CORNER_RAD) or not 1e-9 < abs(distance) < SMALL_GAP_IN:
-                    continue
-                place = piece.ends[end] - own.along * (distance / slope)
-                coordinate = float(place @ line.along)
-                if coordinates[0] - beyond_in < coordinate < coordinates[1] + beyond_in:
+                place = piece.ends[end] - own * (distance / slope)
+                at, (first, last) = float(place @ along), (other.ends @ along).tolist()
+                if first - beyond_in < at < last + beyond_in:
                     piece.ends[end], piece.closed[end] = place, True
                     # Beyond the end of the other wall, that one reaches the same place.
-                    nearest = int(np.abs(other.ends @ line.along - coordinate).argmin())
-                    if not coordinates[0] <= coordinate <= coordinates[1]:
+                    if not first <= at <= last:
+                        nearest = int(at > last)
                         other.ends[nearest], other.closed[nearest] = place, True
+                    break
 
 
 # Outlines.

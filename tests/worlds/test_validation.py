@@ -55,6 +55,16 @@ def test_a_door_as_wide_as_the_robot_is_a_path() -> None:
     assert kinds(room((100.0, 0.0, 100.0, 83.0))) == ["closed off"]
 
 
+@pytest.mark.parametrize(("opening_in", "expected"), [(0.0, ["closed off"]), (12.0, ["closed off"]), (30.0, [])])
+def test_without_rooms_what_is_open_to_the_edge_is_outside(opening_in: float, expected: list[str]) -> None:
+    # A room of four walls, and another one beside it whose outer wall has an opening.
+    middle, ends = 50.0, (50.0 - opening_in / 2.0, 50.0 + opening_in / 2.0)
+    walls = [*OUTLINE.segments().tolist(), (200.0, 0.0, 300.0, 0.0), (200.0, 100.0, 300.0, 100.0),
+             (300.0, 0.0, 300.0, ends[0]), (300.0, ends[1], 300.0, 100.0)]  # fmt: skip
+    world = World("own", inner_walls=np.array(walls), starts=(StartPose(30.0, middle),))
+    assert [kind for kind in kinds(world) if kind != "gap"] == expected
+
+
 def test_closed_off_spaces_are_sorted_by_area() -> None:
     found = validate_world(room((70.0, 0.0, 70.0, 100.0), (160.0, 0.0, 160.0, 100.0)), RADIUS_IN)
     assert [finding.kind for finding in found] == ["closed off"] * 2

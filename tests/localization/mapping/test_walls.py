@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localization.filters.belief import Floats, wrap_angle
+from localization.filters.belief import Floats, rotate, wrap_angle
 from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping import association, output, revision, spans, walls
@@ -18,7 +18,6 @@ from localization.mapping.association import MapEstimate
 from localization.mapping.explore import _span_places
 from localization.mapping.features import MIN_DIFFERENCE
 from localization.mapping.learn import learn_map
-from localization.mapping.measurements import rotate
 from localization.mapping.merging import find_undecided, split_surfaces
 from localization.mapping.output import describe, summary
 from localization.mapping.problem import LEVEL_CELL_IN, NO_LEVEL, PARAMETER_STDS, Levels, MapProblem, Reflection
@@ -37,7 +36,8 @@ from localization.mapping.walls import (
 )
 from tests.localization.mapping.drives import ROOM, drive
 from worlds.io import format_world, load_world
-from worlds.world import SurfaceSpot
+from worlds.validate import Finding, validate_world
+from worlds.world import StartPose, SurfaceSpot, World
 
 
 @pytest.fixture
@@ -606,22 +606,93 @@ def test_measured_part_of_a_wall_moves_with_it() -> None:
     assert moved.high - moved.low == pytest.approx(18.0)
 
 
-@pytest.mark.parametrize("step_in", [0.0, 3.0, 5.0, -3.0, -5.0])
+X, Y = np.array((1.0, 0.0)), np.array((0.0, 1.0))
+"""Along an outer wall, and along the inner wall that divides it."""
+
+
+def line_at(normal: Floats, offset: float, crossed: Sequence[float] = ()) -> walls._Line:
+    """Return a line across X or Y, with the coordinates where paths have crossed it."""
+    return walls._Line(normal, X if normal is Y else Y, offset, np.zeros(0), np.array(crossed))
+
+
+def piece_on(line: walls._Line, wall: int, low: float, high: float, *spots: float) -> walls.Piece:
+    """Return an open piece of a line, with the spots at its ends unless they are `spots`."""
+    ends = np.array((line.at(low), line.at(high)))
+    return walls.Piece(wall, low, high, ends, [False, False], 9, spots=(spots[0], spots[1]) if spots else None)
+
+
+def with_ends(pieces: list[walls.Piece], lines: list[walls._Line]) -> list[walls.Piece]:
+    return walls._with_ends(pieces, lines, np.zeros((0, 2)), 3.5)[0]
+
+
+def check(pieces: Sequence[walls.Piece]) -> list[Finding]:
+    """Return what `nomad map check` reports of walls, on whose upper side a robot of 1 in starts."""
+    segments = np.array([piece.ends.reshape(4) for piece in pieces])
+    return validate_world(World("own", inner_walls=segments, starts=(StartPose(-40.0, 30.0),)), 1.0)
+
+
+@pytest.mark.parametrize("step_in", [0.0, 0.3, 3.0, 5.0, -0.3, -3.0, -5.0])
 def test_both_parts_of_a_wall_with_a_step_end_at_the_wall_that_divides_them(step_in: float) -> None:
-    x, y, nothing = np.array((1.0, 0.0)), np.array((0.0, 1.0)), np.zeros(0)
-    lines = [walls._Line(n, a, at, nothing, nothing) for n, a, at in ((y, x, 0.0), (y, x, step_in), (x, y, 0.0))]
+    lines = [line_at(Y, 0.0), line_at(Y, step_in), line_at(X, 0.0)]
     spots = [(-50.0, -2.0), (2.0, 50.0), (7.0, 60.0)]
-    pieces = [
-        walls.Piece(wall, *spot, np.array((line.at(spot[0]), line.at(spot[1]))), [False, False], 9)
-        for wall, spot, line in zip((0, 0, 1), spots, lines, strict=True)
-    ]
-    left, right, inner = walls._with_ends(pieces, lines, np.zeros((0, 2)), 3.5)[0]
+    pieces = [piece_on(line, wall, *spot) for wall, spot, line in zip((0, 0, 1), spots, lines, strict=True)]
+    left, right, inner = with_ends(pieces, lines)
     assert left.closed[1]
     assert right.closed[0]
     assert inner.closed[0]
     np.testing.assert_allclose([left.ends[1], right.ends[0]], [(0.0, 0.0), (0.0, step_in)], atol=1e-9)
-    # The inner wall reaches at least the part that it meets first.
-    assert min(0.0, step_in) <= inner.ends[0, 1] <= max(0.0, step_in)
+    # The inner wall reaches the farther one, beside which it would leave a gap.
+    np.testing.assert_allclose(inner.ends, [(0.0, min(step_in, 0.0)), (0.0, 60.0)], atol=1e-9)
+    assert check([left, right, inner]) == []
+
+
+@pytest.mark.parametrize(("spans", "crossed", "expected"), [
+    (((-50.0, 30.0), (-30.0, 50.0)), (), (0.0, 0.0)),  # of both parts behind the wall that divides them
+    (((-50.0, 30.0), (2.0, 50.0)), (), (0.0, 0.0)),  # of one
+    (((-50.0, 30.0), (2.0, 50.0)), (5.0, 8.0, 10.0), (30.0, 2.0)),  # paths lead between that wall and both
+])  # fmt: skip
+def test_a_span_ends_at_the_wall_that_divides_it(
+    spans: Sequence[tuple[float, float]], crossed: Sequence[float], expected: tuple[float, float]
+) -> None:
+    lines = [line_at(Y, 0.0), line_at(Y, 0.3), line_at(X, 0.0, crossed)]
+    pieces = [
+        piece_on(lines[0], 0, *spans[0], -50.0, -2.0), piece_on(lines[1], 1, *spans[1], 2.0, 50.0),
+        piece_on(lines[2], 2, 14.0, 60.0),
+    ]  # fmt: skip
+    left, right, inner = with_ends(pieces, lines)
+    np.testing.assert_allclose((left.ends[1, 0], right.ends[0, 0]), expected, atol=1e-9)
+    assert inner.closed[0] == (not crossed)
+    if not crossed:
+        assert check([left, right, inner]) == []
+
+
+@pytest.mark.parametrize(("apart_in", "count"), [(0.2, 1), (1.5, 2)])
+def test_sides_of_a_wall_over_one_another_are_one(apart_in: float, count: int) -> None:
+    lines = [line_at(Y, 0.0), line_at(-Y, -apart_in), line_at(Y, 0.1)]
+    # The second line leads the other way, as the opposite side of a wall does; the third one is beyond both.
+    lines[1] = replace(lines[1], along=-X)
+    pieces = [
+        piece_on(lines[0], 0, 0.0, 40.0, 4.0, 38.0), piece_on(lines[1], 1, -62.0, -20.0, -60.0, -22.0),
+        piece_on(lines[2], 2, 90.0, 130.0),
+    ]  # fmt: skip
+    found, its = walls._without_doubled(pieces, lines)
+    assert [piece.wall for piece in found] == [[0, 1, 2], [1, 2]][count == 1]
+    assert len(its) == len(found) == count + 1
+    if count == 1:
+        assert found[0].spots == (-60.0, -4.0)
+        assert found[0].echoes == 18
+        np.testing.assert_allclose(found[0].ends, [(62.0, apart_in), (0.0, apart_in)])
+
+
+@pytest.mark.parametrize(("gap_in", "aside_in", "is_closed"), [(3.6, 0.1, True), (3.6, 1.0, False), (9.0, 0.1, False)])
+def test_a_wall_goes_on_behind_the_end_of_a_thick_one(gap_in: float, aside_in: float, is_closed: bool) -> None:
+    """Two parts of an outer wall end at the faces of an inner one."""
+    lines = [line_at(Y, 0.0), line_at(Y, aside_in), line_at(X, 0.0), line_at(X, gap_in)]
+    ends = [(-50.0, -2.0), (gap_in + 2.0, 50.0), (7.0, 60.0), (7.0, 60.0)]
+    pieces = [piece_on(line, wall, *own) for wall, (line, own) in enumerate(zip(lines, ends, strict=True))]
+    left, right, *_ = with_ends(pieces, lines)
+    np.testing.assert_allclose(left.ends[1], (gap_in, aside_in) if is_closed else (0.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(right.ends[0], (gap_in, aside_in), atol=1e-9)
 
 
 def test_accuracy_of_parts_does_not_depend_on_their_order(estimate: MapEstimate) -> None:
