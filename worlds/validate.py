@@ -5,14 +5,15 @@
     crumb       a wall too short for any sonar to measure
     surface     measured spots that are not on their wall: it was moved without them
     start       a start where the robot does not fit
-    closed off  space that the robot fits into and cannot reach from the starts; without rooms, what is open towards the
-                edge of the map is outside, as behind a wall that was measured from one side
+    closed off  space that the robot fits into and cannot reach from the starts; without rooms, less than the robot's
+                area at the edge of the map is none, as between the faces of a wedge that was measured from one side
 
 Space is searched on a grid: a passage wider than the robot by less than two grid steps may count as closed.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import pi
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -83,7 +84,7 @@ def validate_world(world: World, radius_in: float, limits: ValidationLimits | No
         *_surfaces(world, limits),
         *_starts(world, radius_in),
         # Doors can be opened.
-        *_closed_off(find_free_space(replace(world, doors=()), radius_in), limits, has_outside=not world.rooms),
+        *_closed_off(find_free_space(replace(world, doors=()), radius_in), limits, 0.0 if world.rooms else radius_in),
     ]
 
 
@@ -259,16 +260,17 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
             yield Finding("start", (start.x_in, start.y_in), words)
 
 
-def _closed_off(found: FreeSpace, limits: ValidationLimits, *, has_outside: bool) -> Iterator[Finding]:
-    """Yield each closed-off space, the largest first; with an outside, none that the edge of the grid crosses."""
+def _closed_off(found: FreeSpace, limits: ValidationLimits, outside_in: float) -> Iterator[Finding]:
+    """Yield each closed-off space, the largest first, without those at the edge of less area than a disc."""
     # 1. Connected regions that no start reaches, by flood fill; those above the minimum area.
     open_nodes, last = OpenNodes(found.fits & ~found.reached), np.array(found.fits.shape) - 1
-    spaces = [open_nodes.flood(i, k) for i, k in np.argwhere(open_nodes.left).tolist()]
-    spaces = [
-        space for space in spaces
-        if len(space) and len(space) * found.step_in**2 >= limits.space_in2
-        and not (has_outside and ((space == 0) | (space == last)).any())
-    ]  # fmt: skip
+    regions = [open_nodes.flood(i, k) for i, k in np.argwhere(open_nodes.left).tolist()]
+    spaces = []
+    for region in regions:
+        is_at_edge = bool(((region == 0) | (region == last)).any())
+        area_in2 = len(region) * found.step_in**2
+        if area_in2 >= (max(limits.space_in2, pi * outside_in**2) if is_at_edge else limits.space_in2):
+            spaces.append(region)
     # 2. The position is the node nearest to the region's mean.
     for nodes in sorted(spaces, key=len, reverse=True):
         area = len(nodes) * found.step_in**2

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig, sonar_of
-from localization.filters.belief import POSE, Belief, Floats, independent
+from localization.filters.belief import POSE, Belief, Floats, difference, independent
 from localization.filters.global_localization import is_wide
 from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import DEFAULT_METHOD, FINDER, METHOD_CHOICES
@@ -46,6 +46,10 @@ ROUND_MARGIN_S: Final = 0.1
 """Time after a round of the ring in which its last echo is reported."""
 START_STD = (0.1, 0.1, 0.01)
 """Default uncertainty of the initial pose: inches, inches, radians."""
+
+
+MAX_START_SIGMAS: Final = 3.0
+"""A true start farther from a given one is in another frame."""
 
 
 # readers of argparse
@@ -367,15 +371,18 @@ def start_source(options: argparse.Namespace) -> str:
     return ENCODERS
 
 
-def start_in_map(options: argparse.Namespace, world: World, belief: Belief) -> Pose | None:
-    """Return the start in the frame of a learned map, which is not that of the simulated world (`GroundTruth`).
+def has_own_frame(options: argparse.Namespace, world: World, belief: Belief, true_start: Pose | None) -> bool:
+    """Return True if the map has another frame than the simulated world, as a learned one has.
 
-    None of a map that was drawn, and where the start is not known. A learned map has no rooms, but measured walls.
+    That one has no rooms, but measured walls. Where the start is known, the true one is elsewhere in a map with another
+    frame. Without --map the map is the world.
     """
-    if world.rooms or not world.accuracies or start_source(options) == UNKNOWN:
-        return None
-    x, y, heading = belief.mean[:POSE].tolist()
-    return x, y, heading
+    if options.map is None or world.rooms or not world.accuracies or true_start is None:
+        return False
+    if start_source(options) == UNKNOWN or is_wide(belief):
+        return True
+    off = np.abs(difference(np.array(true_start), belief.mean[:POSE]))
+    return bool((off > MAX_START_SIGMAS * belief.std[:POSE]).any())
 
 
 def describe_start(options: argparse.Namespace, belief: Belief) -> str:

@@ -4,7 +4,8 @@
     nomad localize nserver://localhost:7019/1 --map thesis_room --path 5.8 --picture run.png
     nomad localize --from drive.log --map room.toml             a recorded drive
 
-For a simulated robot the true error is printed beside the estimate; the filter never uses the ground truth.
+For a simulated robot the true error is printed beside the estimate, on a learned map at the end: its frame is free. The
+filter never uses the ground truth.
 """
 
 from __future__ import annotations
@@ -147,6 +148,8 @@ def _select_method(options: argparse.Namespace) -> str:
 def _write_results(options: argparse.Namespace, world: World, done: Run) -> bool:
     """Write --save and --picture and print the result; return False if a file could not be written (see stderr)."""
     written = True
+    if done.has_own_frame:
+        done.fit_truth()
     # One file that cannot be written must not prevent the other, nor the printed result.
     for write in (arguments.save_run, _draw):
         try:
@@ -184,11 +187,8 @@ def _drive(robot: Robot, world: World, done: Run, options: argparse.Namespace, s
     ) as method:
         localizer = start_localizer(robot, config, belief, method)
         # 2. Drive until the last waypoint, a contact, a stall or the time limit.
-        own_start = arguments.start_in_map(options, world, belief)
-        ground_truth, printed_s = GroundTruth(robot, simulated, own_start), -math.inf
-        done.has_own_frame = own_start is not None
-        if simulated and done.has_own_frame and not options.json:
-            print("errors are those since the start: a learned map has a frame of its own", flush=True)
+        ground_truth, printed_s = GroundTruth(robot, simulated), -math.inf
+        done.has_own_frame = arguments.has_own_frame(options, world, belief, ground_truth.first)
         stall_detector, contact_detector = StallDetector(options.speed), ContactDetector()
         misfit_detector = None if options.method == FINDER else MisfitDetector()
         for progress in follow_waypoints(robot, localizer, navigator, robot.sleep, PoseSmoother(options.smooth)):
@@ -217,7 +217,9 @@ def _drive(robot: Robot, world: World, done: Run, options: argparse.Namespace, s
 
 def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:
     """Publish the last period; waypoints set on the page replace the current ones."""
-    waypoints = publisher.publish(build_message(robot_id, done.moments[-1], done.waypoints))
+    # The page shows the error: in the frame of a learned map there is none yet.
+    moment = done.moments[-1]._replace(truth=None) if done.has_own_frame else done.moments[-1]
+    waypoints = publisher.publish(build_message(robot_id, moment, done.waypoints))
     if waypoints is not None:
         navigator.set_waypoints(waypoints)
         done.waypoints = waypoints

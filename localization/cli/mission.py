@@ -85,7 +85,8 @@ class MissionContext(NamedTuple):
 
     controller: pilot.RobotController
     robot: Robot
-    ground_truth: GroundTruth
+    has_truth: bool
+    """True if the robot has a true pose, in the frame of the map."""
     sonars: SonarAssumption
     echoes: list[Echo]
     goals: list[pilot.Point]
@@ -104,8 +105,10 @@ class MissionContext(NamedTuple):
         std_x, std_y, std_heading = (float(value) for value in estimate.belief.std[:3])
         report.std = std_x, std_y, std_heading
         with contextlib.suppress(NomadError):
-            # Of a simulation only, and only while it is still connected.
-            report.truth = self.ground_truth.now()
+            if self.has_truth:
+                # Of a simulation only, and only while it is still connected.
+                truth = self.robot.truth()
+                report.truth = truth.x_in, truth.y_in, truth.steering_rad
         return report
 
     def save(self, options: argparse.Namespace) -> bool:
@@ -139,12 +142,13 @@ def open_mission(options: argparse.Namespace, map_name: str = "") -> Iterator[Mi
                             alike=arguments.find_alike(world, config, belief)) as method,
             pilot.RobotController(robot, config, body, belief, robot.sleep, method, options.speed) as controller,
         ):
-            ground_truth = GroundTruth(robot, simulated, arguments.start_in_map(options, world, belief))
-            context = MissionContext(controller, robot, ground_truth, sonars, [], [], world)
+            first = GroundTruth(robot, simulated).first
+            has_truth = simulated and not arguments.has_own_frame(options, world, belief, first)
+            context = MissionContext(controller, robot, has_truth, sonars, [], [], world)
             # 3. Observers.
             controller.observers.append(lambda observation: context.echoes.extend(observation.estimate.echoes))
             if publisher:
-                progress = pilot.ProgressPublisher(publisher, ground_truth, context.goals)
+                progress = pilot.ProgressPublisher(publisher, GroundTruth(robot, has_truth), context.goals)
                 controller.observers.append(progress)
                 progress(controller.last)
             yield context

@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 
 from localization.filters.base import EncoderRow, Filter, NewEcho, Place
-from localization.filters.belief import Floats, add, compose, difference, relative_pose, rigid_fit, rotate, wrap_angle
+from localization.filters.belief import Floats, add, compose, difference, rigid_fit, wrap_angle
 from localization.filters.odometry import relative_step
 from localization.filters.update import REFUSALS, Refusal
 from localization.live.assumptions import ASSUME_CONES, SonarAssumption, sonar_mismatch_hint
@@ -40,6 +40,8 @@ from nclient.state import RobotState
 
 MAX_MOMENTS = 36_000
 """Periods of a run in memory: an hour. Results of a longer run, which stays on a page, are those of its end."""
+MIN_FITTED_IN: Final = 6.0
+"""Least spread (RMS distance from the middle) of a true path that is fitted to estimates."""
 MAX_PRINTED_HYPOTHESES = 4
 """Largest number of hypotheses in a line of output."""
 
@@ -102,7 +104,8 @@ class Run:
     alike
         Poses (3,) that look like the start.
     has_own_frame
-        Whether the map has another frame than the simulated world, in which true poses are placed by the start.
+        True if the map has another frame than the simulated world, as a learned one has. Errors are known at the end
+        (`fit_truth`).
     """
 
     waypoints: list[tuple[float, float]]
@@ -115,6 +118,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self._begin_s: float | None = None
+        self._is_fitted = False
 
     def add(self, moment: RunMoment) -> None:
         """Append a period; after MAX_MOMENTS the oldest are forgotten."""
@@ -148,20 +152,26 @@ class Run:
         found = [moment.error for moment in self.moments]
         return np.array([math.hypot(error[0], error[1]) for error in found if error is not None])
 
-    def fitted_errors_in(self) -> Floats:
-        """Return the position errors (k,) after the best rigid fit of the true path to the estimates, inches.
+    def fit_truth(self) -> None:
+        """Turn and shift the true path so that it fits the estimates best, on a map with a frame of its own.
 
-        They do not depend on the frame of the map. A start that is given 1 degree wrong turns the whole true path.
+        The path of a robot that has hardly moved fits anyhow: it is left out, and there are no errors.
         """
-        pairs = [(moment.estimate.pose[:2], moment.truth[:2]) for moment in self.moments
-                 if moment.truth is not None and moment.error is not None]  # fmt: skip
-        if not pairs:
-            return np.empty(0)
-        estimates, true = np.array(pairs).swapaxes(0, 1)
-        turn, shift = rigid_fit(true, estimates)
-        off = estimates - rotate(true, np.full(len(true), turn)) - shift
-        found: Floats = np.hypot(off[:, 0], off[:, 1])
-        return found
+        self._is_fitted = True
+        rows = [row for row, moment in enumerate(self.moments) if moment.error is not None]
+        if not rows:
+            return
+        estimates = np.array([self.moments[row].estimate.pose[:2] for row in rows])
+        true = np.array([self.moments[row].truth for row in rows])
+        is_fit = float(np.sqrt(np.square(true[:, :2] - true[:, :2].mean(axis=0)).sum(axis=1).mean())) >= MIN_FITTED_IN
+        turn, shift = rigid_fit(true[:, :2], estimates)
+        frame = np.array((*shift, turn))
+        for row, moment in enumerate(self.moments):
+            truth = None
+            if is_fit and moment.truth is not None:
+                x, y, heading = compose(frame, np.array(moment.truth)).tolist()
+                truth = x, y, wrap_angle(heading)
+            self.moments[row] = moment._replace(truth=truth)
 
     def odometry_errors_in(self) -> Floats:
         """Return the position errors (k,) of the encoders in inches, of periods with ground truth."""
@@ -187,7 +197,7 @@ class Run:
             text += f"  looks like {_format_places(moment.estimate.places[1:])}"
         # 3. Its error, for a simulated robot.
         error = moment.error
-        if error is None or moment.truth is None:
+        if error is None or moment.truth is None or (self.has_own_frame and not self._is_fitted):
             return text
         return (
             f"{text}  truth ({moment.truth[0]:7.2f}, {moment.truth[1]:7.2f})"
@@ -216,6 +226,7 @@ class Run:
             "alike": [pose.tolist() for pose in self.alike],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
+            "truth_frame": None if last.truth is None else "fitted" if self.has_own_frame else "world",
             **self._errors(),
         }
 
@@ -224,11 +235,10 @@ class Run:
         # Without ground truth the keys are present with null, so that readers need no special case.
         errors = self.errors_in()
         if not len(errors):
-            return dict.fromkeys(("end_error_in", "rmse_position_in", "rmse_fitted_in", "odometry_end_error_in"))
+            return dict.fromkeys(("end_error_in", "rmse_position_in", "odometry_end_error_in"))
         return {
             "end_error_in": float(errors[-1]),
-            "rmse_position_in": _rms(errors),
-            "rmse_fitted_in": _rms(self.fitted_errors_in()) if self.has_own_frame else None,
+            "rmse_position_in": float(np.sqrt((errors**2).mean())),
             "odometry_end_error_in": float(self.odometry_errors_in()[-1]),
         }
 
@@ -247,11 +257,12 @@ class Run:
         ]
         # 2. Errors, with odometry alone for comparison.
         if result["end_error_in"] is not None:
-            fitted = f", {result['rmse_fitted_in']:.2f} in after the best rigid fit" if self.has_own_frame else ""
             lines.append(
                 f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
-                f" in{fitted}); odometry alone is {result['odometry_end_error_in']:.2f} in off"
+                f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
             )
+            if self.has_own_frame:
+                lines.append("these errors are from the true path as it fits best: the map has a frame of its own")
         # 3. What the user may have to change.
         if self.stopped:
             lines.append(f"stopped: {self.stopped}")
@@ -263,10 +274,6 @@ class Run:
                 "run the simulation slower"
             )
         return "\n".join(lines)
-
-
-def _rms(errors: Floats) -> float:
-    return float(np.sqrt((errors**2).mean()))
 
 
 def _count_refusals(echoes: Sequence[Echo]) -> dict[str, int]:
@@ -299,22 +306,21 @@ class GroundTruth:
 
     Filters never use it.
 
-    Parameters
+    Attributes
     ----------
-    robot, simulated
-        The robot, and whether it has a true pose.
-    start
-        On a map with a frame of its own, as a learned one has: the robot's pose there now. True poses are returned in
-        that frame, so their errors are those since the start. None: in the frame of the simulated world.
+    robot_id
+        Number of the robot in its simulation.
+    first
+        Its true pose (in, in, rad) now, at the beginning; None for a real robot.
     """
 
-    def __init__(self, robot: Robot, simulated: bool, start: Pose | None = None) -> None:
-        self._robot, self._start = robot, start
+    def __init__(self, robot: Robot, simulated: bool) -> None:
+        self._robot = robot
         self._sample: TruthSample | None = None
-        self.robot_id = 1
+        self.robot_id, self.first = 1, None
         if simulated:
             self.robot_id, self._sample = self._request()
-            self._first = np.array(self._sample.pose)
+            self.first = self._sample.pose
 
     def at(self, clock_s: float) -> Pose | None:
         """Return the true pose (in, in, rad) at a time since the last call; None for a real robot."""
@@ -322,23 +328,12 @@ class GroundTruth:
             return None
         # The estimate's time lies between two queries: the true pose is interpolated between them.
         before, (_, self._sample) = self._sample, self._request()
-        return self._placed(before.interpolate(self._sample, clock_s))
-
-    def now(self) -> Pose | None:
-        """Return the true pose (in, in, rad) of this moment; None for a real robot."""
-        return None if self._sample is None else self._placed(self._request()[1].pose)
+        return before.interpolate(self._sample, clock_s)
 
     def moment(self, estimate: Estimate, state: RobotState, passed: int = 0) -> RunMoment:
         """Return a period of a run, with odometry and ground truth at the time of the estimate."""
         odometry = (state.x_in, state.y_in, state.steering_rad)
         return RunMoment(estimate, odometry, self.at(estimate.clock_s), passed, state.turret_rad)
-
-    def _placed(self, pose: Pose) -> Pose:
-        """Return a pose of the simulated world in the frame of the map."""
-        if self._start is None:
-            return pose
-        x, y, heading = compose(np.array(self._start), relative_pose(self._first, np.array(pose)))
-        return float(x), float(y), wrap_angle(float(heading))
 
     def _request(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()

@@ -251,14 +251,28 @@ def _with_two_points(estimate: MapEstimate, number: int, echoes: Indices) -> Map
 
 
 def drop_hidden(estimate: MapEstimate) -> int:
-    """Remove walls behind others, most of whose echoes would have passed through these; return their number.
+    """Remove what is behind walls, if most of its echoes would have passed through these; return the number.
 
     Sound that is reflected twice in a corner comes late, as if from beyond it. Where nothing else was measured beyond,
-    the other walls reach as far as the corner. What is open at both ends is also dropped if its echoes alone pass
-    through the gap of a wall, and it is no door that stands back: sound between that wall and a box before it comes
-    late.
+    the other walls reach as far as the corner. A wall that is open at both ends is also dropped if its echoes alone
+    pass through the gap of a wall, and it is no door that stands back: sound between that wall and a box before it
+    comes late. Points are dropped that far behind walls, of planes: surfaces have posts that are not known so well.
     """
     dropped = 0
+    # 1. Points, whose paths may keep a corner open.
+    points = range(len(estimate.state.walls), estimate.state.features)
+    for point in reversed(points) if not estimate.surface_in else ():
+        echoes = estimate.echoes_of(point)
+        _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)
+        without = estimate.copy()
+        without.remove(point)
+        pieces = extract_walls(without, with_accuracy=False)
+        others = np.array([piece.ends.reshape(4) for piece in pieces]).reshape(-1, 4)
+        if len(echoes) and is_blocked(sensors.face, spots[:, point], others, NICHE_IN).mean() > HIDDEN_FRACTION:
+            without.associate()
+            estimate.replace_by(without)
+            dropped += 1
+    # 2. Walls.
     for wall in reversed(range(len(estimate.state.walls))):
         echoes = estimate.echoes_of(wall)
         _, sensors, spots = residual_matrix(estimate.problem, estimate.state, estimate.extents, echoes)

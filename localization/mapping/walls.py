@@ -53,8 +53,10 @@ MIN_DEPTH_IN: Final = 1.5
 """A path that ends less far behind a line has not crossed it."""
 MIN_LENGTH_IN: Final = 2.0
 """Ends that were moved nearer to one another than this, or past one another, are those of no wall."""
-DOUBLED_IN: Final = 0.5
-"""Parallel walls nearer than this are one: `nomad map check` reports them."""
+DOUBLED_IN, DOUBLED_OVER_IN = 0.5, 1.0
+"""Walls nearer than this over such a length are one: `nomad map check` reports them."""
+HIDDEN_ASIDE_IN, HIDDEN_AHEAD_IN = 8.0, 18.0
+"""What no path has crossed so far behind the end of a wall, and so far from the wall that it divides, is hidden."""
 MIN_SPOTS: Final = 5
 MAX_STRAY_SPOTS, MAX_ALONE, STRAY_GAP_IN = 4, 2, 8.0
 """So few spots beyond a point at the end of a wall, or so far from all others, are mistakes."""
@@ -224,9 +226,17 @@ class _Line:
         within = (self.crossed > low + BLOCKED_IN) & (self.crossed < high - BLOCKED_IN)
         return int(within.sum()) >= MIN_CROSSINGS
 
+    def is_crossed_between(self, one: Floats, other: Floats) -> bool:
+        """Return True if paths have crossed the line anywhere between two ends (2,)."""
+        low, high = sorted((float(one @ self.along), float(other @ self.along)))
+        return self.is_crossed(low - BLOCKED_IN, high + BLOCKED_IN)
+
 
 def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[Piece]:
-    """Return the walls of a map, in the frame of its first pose, the longest first; their accuracy if it matters."""
+    """Return the walls of a map, in the frame of its first pose, the longest first; their accuracy if it matters.
+
+    With it they are as they are written: both sides of a thin wall are one.
+    """
     # 1. Lines, and the paths that have crossed them.
     paths, weights = free_paths(estimate), level_weights(estimate)
     wall_lines = [_line(estimate, wall, weights, paths) for wall in range(len(estimate.state.walls))]
@@ -246,9 +256,11 @@ def extract_walls(estimate: MapEstimate, *, with_accuracy: bool = True) -> list[
             places = np.array((piece_lines[-1].at(low), piece_lines[-1].at(high)))
             pieces.append(Piece(number, low, high, places, [False, False], count,
                                 spots=None if spots == (low, high) else spots))  # fmt: skip
-    pieces, piece_lines = _without_doubled(pieces, piece_lines)
+    # The runs of each wall of the map matter to a robot that drives.
+    if with_accuracy:
+        pieces, piece_lines = _without_doubled(pieces, piece_lines)
     # 3. Ends.
-    pieces, piece_lines = _with_ends(pieces, piece_lines, points, estimate.surface_in)
+    pieces, piece_lines = _with_ends(pieces, piece_lines, points, paths, estimate.surface_in)
     if with_accuracy:
         _add_accuracy(estimate, pieces, piece_lines)
         _add_surfaces(estimate, pieces)
@@ -437,22 +449,20 @@ def _without_doubled(pieces: list[Piece], lines: list[_Line]) -> tuple[list[Piec
     """Return pieces and their lines without those that lie on a longer one, which goes on as far as both.
 
     The sides of a thin wall that was not measured at its end may be two walls of the map: they may be as far apart as
-    the sides of a thick one. Where they are not, they are written as one.
+    the sides of a thick one. Where they are not, they are written as one, whose measured part is that of the longer.
     """
     found = dict[int, Piece]()
     for row in sorted(range(len(pieces)), key=lambda row: (-pieces[row].measured_in, row)):
-        piece, line = pieces[row], lines[row]
-        measured = np.array([line.at(coordinate) for coordinate in piece.measured])
+        piece = pieces[row]
         for number, longer in found.items():
             its = lines[number]
-            low, high = sorted((measured @ its.along).tolist())
-            first, last = longer.measured
-            if its.off(measured.reshape(-1)) < DOUBLED_IN and min(high, last) - max(low, first) > MIN_PIECE_IN:
-                begin, end = sorted(float(line.at(coordinate) @ its.along) for coordinate in (piece.low, piece.high))
-                begin, end, spots = min(longer.low, begin), max(longer.high, end), (min(low, first), max(high, last))
+            low, high = sorted((piece.ends @ its.along).tolist())
+            common_in = min(high, longer.high) - max(low, longer.low)
+            if its.off(piece.ends.reshape(-1)) < DOUBLED_IN and common_in > DOUBLED_OVER_IN:
+                low, high = min(longer.low, low), max(longer.high, high)
                 found[number] = replace(
-                    longer, low=begin, high=end, ends=np.array((its.at(begin), its.at(end))),
-                    echoes=longer.echoes + piece.echoes, spots=None if spots == (begin, end) else spots,
+                    longer, low=low, high=high, ends=np.array((its.at(low), its.at(high))),
+                    echoes=longer.echoes + piece.echoes, spots=longer.measured,
                 )  # fmt: skip
                 break
         else:
@@ -528,7 +538,7 @@ class _Corner:
 
 
 def _with_ends(
-    pieces: list[Piece], lines: list[_Line], points: Floats, surface_in: float
+    pieces: list[Piece], lines: list[_Line], points: Floats, paths: tuple[Floats, Floats], surface_in: float
 ) -> tuple[list[Piece], list[_Line]]:
     """Return pieces with their ends at corners, points and other walls, and their lines, without those of no length.
 
@@ -538,8 +548,11 @@ def _with_ends(
     while True:
         # 1. As if all of them were walls.
         found = [replace(piece, ends=piece.ends.copy(), closed=[*piece.closed]) for piece in pieces]
-        _end_at_dividers(found, lines)
-        _join_corners(found, lines, points[:0] if surface_in else points)
+        ended = _end_at_dividers(found, lines, paths)
+        _join_corners(found, lines, points[:0] if surface_in else points, surface_in)
+        # What has no corner there ends at the divider all the same, and not at a post of the span.
+        for number, end in ended:
+            found[number].closed[end] = True
         _move_ends_to_points(found, lines, points)
         _close_gaps_in_line(found, lines)
         _close_small_gaps(found, surface_in)
@@ -553,32 +566,53 @@ def _with_ends(
         pieces, lines = list(compress(pieces, is_long)), list(compress(lines, is_long))
 
 
-def _end_at_dividers(pieces: list[Piece], lines: list[_Line]) -> None:
-    """Let walls that lead by a span past the end of another one, behind which nothing was measured, end there.
+def _end_at_dividers(
+    pieces: list[Piece], lines: list[_Line], paths: tuple[Floats, Floats]
+) -> list[tuple[int, int]]:
+    """Let walls that lead by a span past the end of another one, behind which no path (p, 2) has led, end there.
 
     Behind a wedge no sound passes, and its posts make spans that no path has crossed. What is there is not known; both
     parts of the wall that it divides, whose surfaces may stand out differently, would lie side by side.
+
+    Returns
+    -------
+    list of (int, int)
+        Numbers of the pieces, and their ends, that were moved onto the line of a divider.
     """
-    for piece, line in zip(pieces, lines, strict=True):
-        first, last = piece.measured
-        for other, divider in zip(pieces, lines, strict=True):
-            slope = float(line.along @ divider.normal)
-            if other is piece or abs(slope) < np.sin(MIN_CORNER_RAD):
+    moved = []
+    for number, (piece, line) in enumerate(zip(pieces, lines, strict=True)):
+        for divider, its in zip(pieces, lines, strict=True):
+            slope = float(line.along @ its.normal)
+            if divider is piece or abs(slope) < np.sin(MIN_CORNER_RAD):
                 continue
-            at = (divider.offset - float(line.at(0.0) @ divider.normal)) / slope
-            along, ends = float(line.at(at) @ divider.along), other.measured
-            nearest = min(ends, key=lambda end: abs(end - along))
-            is_near = ends[0] - MAX_GAP_IN < along < ends[1] + MAX_GAP_IN
-            if not is_near or divider.is_crossed(min(nearest, along), max(nearest, along)):
+            # 1. Where it is crossed, up to MAX_GAP_IN beyond the other wall: a robot comes no nearer to the corner.
+            at = (its.offset - float(line.at(0.0) @ its.normal)) / slope
+            along, (low, high) = float(line.at(at) @ its.along), divider.measured
+            nearest = min(max(along, low), high)
+            if abs(along - nearest) > MAX_GAP_IN or its.is_crossed(min(nearest, along), max(nearest, along)):
                 continue
-            if piece.low < at < first:
-                piece.low, piece.ends[0] = at, line.at(at)
-            elif last < at < piece.high:
-                piece.high, piece.ends[1] = at, line.at(at)
+            # 2. The end beyond, if all that was measured is on the other side, and it is hidden.
+            first, last = piece.measured
+            for end, sign, hidden_in in ((0, -1.0, at - piece.low), (1, 1.0, piece.high - at)):
+                beyond_in = sign * ((first, last)[end] - at)
+                if hidden_in <= OVERSHOOT_IN or beyond_in >= OVERSHOOT_IN:
+                    continue
+                middle = line.at(at + sign * min(HIDDEN_ASIDE_IN, 0.5 * hidden_in))
+                probe = np.concatenate((middle - HIDDEN_AHEAD_IN * line.normal, middle + HIDDEN_AHEAD_IN * line.normal))
+                if crossings(*paths, probe[None]).sum() < MIN_CROSSINGS:
+                    piece.ends[end] = line.at(at)
+                    piece.low, piece.high = (at, piece.high) if end == 0 else (piece.low, at)
+                    piece.spots = max(first, piece.low), min(last, piece.high)
+                    moved.append((number, end))
+    return moved
 
 
-def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> None:
-    """Move ends to the corners of two walls, the nearest corners first."""
+def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats, step_in: float) -> None:
+    """Move ends to the corners of two walls, the nearest corners first.
+
+    Where the surfaces of two parts of a wall differ by up to a step, both have a corner with the wall that divides
+    them, whose end is moved to one of these.
+    """
     corners = []
     for one in range(len(pieces)):
         for other in range(one + 1, len(pieces)):
@@ -586,11 +620,19 @@ def _join_corners(pieces: list[Piece], lines: list[_Line], points: Floats) -> No
             if corner is not None:
                 corners.append(corner)
     for corner in sorted(corners, key=lambda corner: (corner.growth_in, corner.one, corner.other)):
-        moves = [(corner.one, corner.one_end), (corner.other, corner.other_end)]
+        ends = ((corner.one, corner.one_end), (corner.other, corner.other_end))
+        moves = [
+            (number, end) for number, end in ends
+            if end is not None and not _is_beside(pieces[number], end, corner.place, step_in)
+        ]  # fmt: skip
         if all(_may_move(pieces[number], lines[number], points, end, corner.place) for number, end in moves):
             for number, end in moves:
-                if end is not None:
-                    pieces[number].ends[end], pieces[number].closed[end] = corner.place, True
+                pieces[number].ends[end], pieces[number].closed[end] = corner.place, True
+
+
+def _is_beside(piece: Piece, end: int, place: Floats, step_in: float) -> bool:
+    """Return True if an end of a piece has a corner at most so far from a place."""
+    return piece.closed[end] and float(np.hypot(*(piece.ends[end] - place))) < step_in
 
 
 def _corner(pieces: list[Piece], lines: list[_Line], one: int, other: int) -> _Corner | None:
@@ -616,10 +658,8 @@ def _corner(pieces: list[Piece], lines: list[_Line], one: int, other: int) -> _C
     return _Corner(sum(growths), one, other, place, *ends)
 
 
-def _may_move(piece: Piece, line: _Line, points: Floats, end: int | None, place: Floats) -> bool:
+def _may_move(piece: Piece, line: _Line, points: Floats, end: int, place: Floats) -> bool:
     """Return True if an end of a piece may move to a place: it is open, and nothing speaks against it."""
-    if end is None:
-        return True
     if piece.closed[end]:
         return False
     coordinate, present = float(place @ line.along), (piece.low, piece.high)[end]
@@ -653,18 +693,21 @@ SMALL_GAP_IN: Final = 4.0
 
 
 def _close_gaps_in_line(pieces: list[Piece], lines: list[_Line]) -> None:
-    """Let a wall that ends just before another one on its line, at the faces of a thick wall, reach that one's end."""
+    """Let a wall that ends just before another one beside its line, at the faces of a thick wall, reach that one's end.
+
+    It goes on along its own line. What divides them is moved onto it with all other small gaps.
+    """
     for piece, line in zip(pieces, lines, strict=True):
         for end in np.flatnonzero(piece.closed).tolist():
-            sign = 1.0 if end else -1.0
+            present, sign = float(piece.ends[end] @ line.along), 1.0 if end else -1.0
             for other, its in zip(pieces, lines, strict=True):
-                off = other.ends - piece.ends[end]
-                ahead, across = sign * (off @ line.along), np.abs(off @ line.normal)
-                is_next = (ahead > ON_LINE_IN) & (ahead < SMALL_GAP_IN) & (across < DOUBLED_IN)
-                nearest = int(ahead.argmin())
+                nearest = int(np.argmin(sign * (other.ends @ line.along)))
+                off, at = other.ends[nearest] - piece.ends[end], float(other.ends[nearest] @ line.along)
+                is_next = sign * (at - present) > ON_LINE_IN and float(np.hypot(*off)) < SMALL_GAP_IN
                 is_parallel = abs(float(its.along @ line.normal)) < np.sin(MIN_CORNER_RAD)
-                if is_parallel and is_next[nearest] and other.closed[nearest]:
-                    piece.ends[end] = other.ends[nearest]
+                is_open = any(one.is_crossed_between(piece.ends[end], other.ends[nearest]) for one in (line, its))
+                if is_next and is_parallel and other.closed[nearest] and not is_open:
+                    piece.ends[end] = line.at(at)
 
 
 def _close_small_gaps(pieces: list[Piece], surface_in: float) -> None:
@@ -673,7 +716,8 @@ def _close_small_gaps(pieces: list[Piece], surface_in: float) -> None:
     The end of that one may be at the other part of a wall that it divides, whose surface stands out differently.
     """
     beyond_in = SMALL_GAP_IN + surface_in
-    # All ends move along their walls. Both ends of one across another wall may come to the same place.
+    # All ends move along their walls, whose directions stay; those of no length have none. A short one across another
+    # wall comes to have no length here.
     walls = [(piece, piece.along) for piece in pieces if piece.length_in >= MIN_LENGTH_IN]
     for piece, own in walls:
         for end in range(2):
@@ -681,7 +725,8 @@ def _close_small_gaps(pieces: list[Piece], surface_in: float) -> None:
             segments = np.array([other.ends for other, _ in others]).reshape(-1, 4)
             if nearest_points(piece.ends[end], segments)[1].min(initial=np.inf) < TOUCHING_IN:
                 continue
-            for other, along in others:
+            reached = []
+            for number, (other, along) in enumerate(others):
                 normal = np.array((-along[1], along[0]))
                 slope, distance = float(own @ normal), float((piece.ends[end] - other.ends[0]) @ normal)
                 if abs(slope) < np.sin(MIN_CORNER_RAD) or abs(distance) >= SMALL_GAP_IN:
@@ -689,12 +734,14 @@ def _close_small_gaps(pieces: list[Piece], surface_in: float) -> None:
                 place = piece.ends[end] - own * (distance / slope)
                 at, (first, last) = float(place @ along), (other.ends @ along).tolist()
                 if first - beyond_in < at < last + beyond_in:
-                    piece.ends[end], piece.closed[end] = place, True
-                    # Beyond the end of the other wall, that one reaches the same place.
-                    if not first <= at <= last:
-                        nearest = int(at > last)
-                        other.ends[nearest], other.closed[nearest] = place, True
-                    break
+                    # Beyond the end of the other wall, that one must reach the same place.
+                    moves = None if first <= at <= last else int(at > last)
+                    reached.append((abs(distance / slope), number, place, moves))
+            if reached:
+                _, number, place, moves = min(reached, key=lambda one: one[:2])
+                piece.ends[end], piece.closed[end] = place, True
+                if moves is not None:
+                    others[number][0].ends[moves], others[number][0].closed[moves] = place, True
 
 
 # Outlines.

@@ -33,6 +33,8 @@ def page_that(answers: Callable[[Any], tuple[int, str]]) -> Iterator[tuple[str, 
         # A short poll interval, as shutdown() waits for the next poll.
         serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         serving.start()
-        yield f"http://127.0.0.1:{server.server_port}/?token=secret", received
-        server.shutdown()
-        serving.join()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/?token=secret", received
+        finally:
+            server.shutdown()
+            serving.join()

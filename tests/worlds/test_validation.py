@@ -55,14 +55,24 @@ def test_a_door_as_wide_as_the_robot_is_a_path() -> None:
     assert kinds(room((100.0, 0.0, 100.0, 83.0))) == ["closed off"]
 
 
-@pytest.mark.parametrize(("opening_in", "expected"), [(0.0, ["closed off"]), (12.0, ["closed off"]), (30.0, [])])
-def test_without_rooms_what_is_open_to_the_edge_is_outside(opening_in: float, expected: list[str]) -> None:
-    # A room of four walls, and another one beside it whose outer wall has an opening.
-    middle, ends = 50.0, (50.0 - opening_in / 2.0, 50.0 + opening_in / 2.0)
-    walls = [*OUTLINE.segments().tolist(), (200.0, 0.0, 300.0, 0.0), (200.0, 100.0, 300.0, 100.0),
-             (300.0, 0.0, 300.0, ends[0]), (300.0, ends[1], 300.0, 100.0)]  # fmt: skip
-    world = World("own", inner_walls=np.array(walls), starts=(StartPose(30.0, middle),))
-    assert [kind for kind in kinds(world) if kind != "gap"] == expected
+@pytest.mark.parametrize(("depth_in", "has_room", "expected"), [
+    (24.0, False, []), (24.0, True, ["closed off"]), (40.0, False, ["closed off"]),
+])  # fmt: skip
+def test_less_than_the_area_of_the_robot_at_the_edge_of_a_map_without_rooms_is_outside(
+    depth_in: float, has_room: bool, expected: list[str]
+) -> None:
+    """Three walls stand at an outer wall, 30 in apart; it was measured beside them only, unless it is that of a room.
+
+    The axis of the robot has 12 in between them, and their length less 9 in: 180 and 372 in^2; a disc has 254 in^2.
+    """
+    inner = [(85.0, 0.0, 85.0, depth_in), (85.0, depth_in, 115.0, depth_in), (115.0, depth_in, 115.0, 0.0)]
+    _, *others = OUTLINE.segments().tolist()
+    beside = [] if has_room else [(0.0, 0.0, 85.0, 0.0), (115.0, 0.0, 200.0, 0.0), *others]
+    world = World(
+        "own", rooms=(OUTLINE,) if has_room else (), inner_walls=np.array([*inner, *beside]),
+        starts=(StartPose(30.0, 50.0),),
+    )  # fmt: skip
+    assert kinds(world) == expected
 
 
 def test_closed_off_spaces_are_sorted_by_area() -> None:

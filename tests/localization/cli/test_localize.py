@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,7 @@ from localization.live.run import Run
 from nclient import ReplyTimeout, Robot
 from nclient.cli import main
 from nclient.common.process import TerminatedBySignal
-from worlds.io import format_world, load_world
 from worlds.robots import Calibration, Spread, format_calibration
-from worlds.world import WallAccuracy, World
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
 TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
@@ -83,25 +81,38 @@ def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]
     assert 0 < result["odometry_end_error_in"] < 1.0
 
 
-def test_errors_on_a_learned_map_are_those_since_the_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The frame of the map has its origin where the robot stands in the simulated world, at (5, 5), and is turned."""
-    world = load_world("thesis_room")
-    quarter = np.array(((0.0, 1.0), (-1.0, 0.0)))
-    walls = (world.walls.reshape(-1, 2) - 5.0) @ quarter
-    measured = WallAccuracy(0.1, 0.001, 90.0)
-    learned = World("own", inner_walls=walls.reshape(-1, 4), accuracies=dict.fromkeys(range(4), measured))
-    file = tmp_path / "room.toml"
-    file.write_text(format_world(learned))
-    words = (f"{NOISY}&start=5,5,0", "--map", str(file), "--waypoints=-20,30")
-    assert localize(*words, "--start", "0,0,90") == 0
-    out = capsys.readouterr().out
-    assert "errors are those since the start: a learned map has a frame of its own" in out
-    assert "after the best rigid fit" in out
-    # A start that is given 2 degrees wrong turns the true path, and not that which is fitted.
-    assert localize(*words, "--start", "0,0,92", "--json") == 0
+IN_ROOM = "sim:several_walls?noisy=1&seed=1&start=5,5,0"
+
+
+@pytest.mark.parametrize("start", [
+    ("--start", "0,0,92"), ("--start", "0,0,90", "--start-std", "20,20,25"), ("--start", "unknown"),
+])  # fmt: skip
+def test_errors_on_a_learned_map_are_those_of_the_fitted_path(
+    learned: str, start: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert localize(IN_ROOM, "--map", learned, "--waypoints=-20,30", *start, "--json") == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["rmse_fitted_in"] < 0.4 < 0.6 < result["rmse_position_in"] < 2.0
-    assert result["truth"][:2] == pytest.approx([-20.0, 30.0], abs=4.0)
+    assert result["truth_frame"] == "fitted"
+    assert result["rmse_position_in"] < 0.6
+    assert result["truth"][:2] == pytest.approx(result["estimate"][:2], abs=1.0)
+
+
+def test_no_error_is_shown_on_a_learned_map_before_the_end(learned: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(IN_ROOM, "--map", learned, "--waypoints=-20,30", "--start", "0,0,90") == 0
+    *_, last, _, _, note = lines = capsys.readouterr().out.splitlines()
+    assert note == "these errors are from the true path as it fits best: the map has a frame of its own"
+    assert ["truth" in line for line in lines if "estimate (" in line][-2:] == [False, True]
+    assert "off" in last
+
+
+@pytest.mark.parametrize("has_map", [False, True])
+def test_learned_map_that_is_the_simulated_world_has_its_frame(
+    learned: str, has_map: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A start that is given 1 in wrong, with a deviation that says so, is an error."""
+    start = ("--start", "1,0,0", "--start-std", "1,1,2", *(("--map", learned) if has_map else ()))
+    assert localize(f"sim:{learned}?noisy=1&seed=1", *start, "--waypoints", "1,1", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["truth_frame"] == "world"
 
 
 @pytest.mark.long

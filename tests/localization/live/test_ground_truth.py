@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,40 +15,23 @@ class Robot:
 
     def __init__(self) -> None:
         self.requests = 0
-        self.heading_rad = 0.0
 
     def truth(self) -> Any:
         self.requests += 1
         time_s = float(self.requests)
-        return SimpleNamespace(robot_id=3, time_s=time_s, x_in=2.0 * time_s, y_in=5.0, steering_rad=self.heading_rad)
+        return SimpleNamespace(robot_id=3, time_s=time_s, x_in=2.0 * time_s, y_in=5.0, steering_rad=0.0)
 
 
 def test_truth_is_requested_once_per_call() -> None:
     robot: Any = Robot()
     ground_truth = GroundTruth(robot, True)
-    assert ground_truth.robot_id == 3
+    assert (ground_truth.robot_id, ground_truth.first) == (3, (2.0, 5.0, 0.0))
     assert ground_truth.at(1.5) == pytest.approx((3.0, 5.0, 0.0))
     assert ground_truth.at(3.0) == pytest.approx((6.0, 5.0, 0.0))
     assert robot.requests == 3
 
 
-def test_true_poses_are_in_the_frame_of_a_learned_map() -> None:
-    """The robot starts at (10, 20) of the map, where x of the simulated world is y."""
-    robot: Any = Robot()
-    ground_truth = GroundTruth(robot, True, (10.0, 20.0, radians(90.0)))
-    assert ground_truth.at(1.5) == pytest.approx((10.0, 21.0, radians(90.0)))
-    assert ground_truth.now() == pytest.approx((10.0, 24.0, radians(90.0)))
-
-
-def test_heading_in_the_frame_of_a_learned_map_is_within_half_a_turn() -> None:
-    robot: Any = Robot()
-    ground_truth = GroundTruth(robot, True, (0.0, 0.0, radians(170.0)))
-    robot.heading_rad = radians(20.0)
-    assert ground_truth.now() == pytest.approx((2.0 * cos(radians(170.0)), 2.0 * sin(radians(170.0)), radians(-170.0)))
-
-
 def test_real_robot_has_no_truth_request() -> None:
     robot: Any = Robot()
     ground_truth = GroundTruth(robot, False)
-    assert (ground_truth.robot_id, ground_truth.at(1.0), robot.requests) == (1, None, 0)
-    assert ground_truth.now() is None
+    assert (ground_truth.robot_id, ground_truth.first, ground_truth.at(1.0), robot.requests) == (1, None, None, 0)

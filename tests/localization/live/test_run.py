@@ -47,28 +47,46 @@ def test_summary_counts_echoes_by_result() -> None:
     assert summary["end_error_in"] == pytest.approx(0.5)
     assert summary["rmse_position_in"] == pytest.approx(0.5)
     assert summary["odometry_end_error_in"] == pytest.approx(1.0)
+    assert summary["truth_frame"] == "world"
     assert summary["estimate"] == pytest.approx([3.0, 4.0, 3.1])
 
 
-def test_on_a_map_with_a_frame_of_its_own_the_frame_is_no_error() -> None:
+@pytest.mark.parametrize("size_in", [40.0, 4.0])
+def test_true_path_is_fitted_on_a_map_with_a_frame_of_its_own(size_in: float) -> None:
     """True path and estimates differ by a turn, a shift, and 0.2 in to both sides at the corners of a square."""
-    done, turn = Run([], has_own_frame=True), math.radians(3.0)
-    for row, (x, y) in enumerate(((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))):
-        truth = (7.0 + x * math.cos(turn) - y * math.sin(turn), -2.0 + x * math.sin(turn) + y * math.cos(turn), turn)
+    done, turn = Run([], has_own_frame=True), math.radians(150.0)
+    for row, (x, y) in enumerate(((0.0, 0.0), (size_in, 0.0), (size_in, size_in), (0.0, size_in))):
+        place = 7.0 + x * math.cos(turn) - y * math.sin(turn), -2.0 + x * math.sin(turn) + y * math.cos(turn)
         # No rigid motion takes a part of these away.
-        belief = independent([x + 0.2 * (-1) ** row, y, 0.0], [0.1, 0.1, 0.01])
-        done.add(RunMoment(Estimate(float(row), belief, ()), (x, y, 0.0), truth, 0))
-    assert done.fitted_errors_in() == pytest.approx([0.2] * 4, abs=1e-9)
+        belief = independent([x + 0.2 * (-1) ** row, y, math.radians(60.0)], [0.1, 0.1, 0.01])
+        truth = (*place, math.radians(-150.0 + row))
+        done.add(RunMoment(Estimate(float(row), belief, ()), (x, y + 1.0, 0.0), truth, 0))
+    # While the robot drives the frame is not known.
+    assert "truth" not in done.line()
+    done.fit_truth()
     summary = done.summary()
-    assert summary["rmse_fitted_in"] == pytest.approx(0.2)
-    assert summary["rmse_position_in"] > 5.0
-    assert "in, 0.20 in after the best rigid fit)" in done.verdict()
+    if size_in == 4.0:
+        # Any path of a robot that has hardly moved fits.
+        assert (summary["truth"], summary["truth_frame"], summary["rmse_position_in"]) == (None, None, None)
+        return
+    assert done.errors_in() == pytest.approx([0.2] * 4, abs=1e-9)
+    assert done.odometry_errors_in() == pytest.approx([1.0] * 4, abs=1e-9)
+    assert summary["truth"] == pytest.approx([0.0, size_in, math.radians(63.0)], abs=1e-9)
+    assert summary["truth_frame"] == "fitted"
+    assert "truth (   0.00,   40.00)  off 0.20 in -3.00 deg" in done.line()
+    assert "these errors are from the true path as it fits best: the map has a frame of its own" in done.verdict()
+
+
+def test_without_estimates_to_fit_to_there_is_no_frame() -> None:
+    done = run(with_truth=False)
+    done.fit_truth()
+    assert done.summary()["truth_frame"] is None
 
 
 def test_without_a_truth_nothing_is_made_up() -> None:
     done = run(with_truth=False)
     summary = done.summary()
-    unknown = ("truth", "end_error_in", "rmse_position_in", "rmse_fitted_in", "odometry_end_error_in")
+    unknown = ("truth", "end_error_in", "rmse_position_in", "odometry_end_error_in", "truth_frame")
     assert [summary[key] for key in unknown] == [None] * 5
     assert "truth" not in done.line()
     assert "off at the end" not in done.verdict()
@@ -91,7 +109,7 @@ def test_the_verdict_reports_goals_echoes_and_errors() -> None:
 def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
     done = Run([(1.0, 1.0)])
     assert (done.reached, done.duration_s) == (0, 0.0)
-    assert np.size(done.errors_in()) == np.size(done.fitted_errors_in()) == 0
+    assert np.size(done.errors_in()) == 0
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])

@@ -185,6 +185,24 @@ def test_wall_behind_another_one_is_removed(estimate: MapEstimate) -> None:
     assert drop_hidden(estimate.copy()) == 0
 
 
+@pytest.mark.parametrize(("beyond_in", "dropped"), [(30.0, 1), (9.0, 0), (-15.0, 0)])
+def test_point_far_behind_a_wall_is_removed(estimate: MapEstimate, beyond_in: float, dropped: int) -> None:
+    """Sound that came late, as if from a point behind the middle of a wall; a niche is less deep."""
+    found = estimate.copy()
+    (angle, offset), (low, high) = found.state.walls[0], found.extents[0]
+    normal, along = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    outward = np.sign(offset)
+    echoes = found.echoes_of(0)
+    found.add_point(normal * (offset + outward * beyond_in) + along * 0.5 * (low + high))
+    feature = found.assignment.feature.copy()
+    feature[echoes[::3]] = found.state.features - 1
+    found.assignment = replace(found.assignment, feature=feature)
+    points = len(found.state.points)
+    assert drop_hidden(found) == dropped
+    assert len(found.state.points) == points - dropped
+    assert len(found.state.walls) == len(estimate.state.walls)
+
+
 @pytest.mark.long
 def test_line_along_parts_of_two_walls_becomes_both() -> None:
     # Boxes against the lower wall, 8 and 12 in deep: the wall at y = -25 in the frame of the start is behind them.

@@ -621,20 +621,29 @@ def piece_on(line: walls._Line, wall: int, low: float, high: float, *spots: floa
     return walls.Piece(wall, low, high, ends, [False, False], 9, spots=(spots[0], spots[1]) if spots else None)
 
 
-def with_ends(pieces: list[walls.Piece], lines: list[walls._Line]) -> list[walls.Piece]:
-    return walls._with_ends(pieces, lines, np.zeros((0, 2)), 3.5)[0]
+NO_PATHS = np.zeros((0, 2)), np.zeros((0, 2))
+
+
+def with_ends(
+    pieces: list[walls.Piece], lines: list[walls._Line], points: Sequence[tuple[float, float]] = (),
+    paths: tuple[Floats, Floats] = NO_PATHS,
+) -> list[walls.Piece]:  # fmt: skip
+    return walls._with_ends(pieces, lines, np.array(points).reshape(-1, 2), paths, 3.5)[0]
 
 
 def check(pieces: Sequence[walls.Piece]) -> list[Finding]:
-    """Return what `nomad map check` reports of walls, on whose upper side a robot of 1 in starts."""
+    """Return what `nomad map check` reports of walls, but for the space behind what is a part of a room only."""
     segments = np.array([piece.ends.reshape(4) for piece in pieces])
-    return validate_world(World("own", inner_walls=segments, starts=(StartPose(-40.0, 30.0),)), 1.0)
+    found = validate_world(World("own", inner_walls=segments, starts=(StartPose(-40.0, 30.0),)), 1.0)
+    return [finding for finding in found if finding.kind != "closed off"]
 
 
-@pytest.mark.parametrize("step_in", [0.0, 0.3, 3.0, 5.0, -0.3, -3.0, -5.0])
-def test_both_parts_of_a_wall_with_a_step_end_at_the_wall_that_divides_them(step_in: float) -> None:
+@pytest.mark.parametrize(("step_in", "from_in"), [
+    (0.0, 2.0), (0.3, 2.0), (3.0, 2.0), (5.0, 2.0), (-0.3, 2.0), (-3.0, 2.0), (-5.0, 2.0), (0.3, 15.0), (-3.0, 15.0),
+])  # fmt: skip
+def test_both_parts_of_a_wall_with_a_step_end_at_the_wall_that_divides_them(step_in: float, from_in: float) -> None:
     lines = [line_at(Y, 0.0), line_at(Y, step_in), line_at(X, 0.0)]
-    spots = [(-50.0, -2.0), (2.0, 50.0), (7.0, 60.0)]
+    spots = [(-50.0, -2.0), (from_in, 50.0), (7.0, 60.0)]
     pieces = [piece_on(line, wall, *spot) for wall, spot, line in zip((0, 0, 1), spots, lines, strict=True)]
     left, right, inner = with_ends(pieces, lines)
     assert left.closed[1]
@@ -646,53 +655,135 @@ def test_both_parts_of_a_wall_with_a_step_end_at_the_wall_that_divides_them(step
     assert check([left, right, inner]) == []
 
 
-@pytest.mark.parametrize(("spans", "crossed", "expected"), [
-    (((-50.0, 30.0), (-30.0, 50.0)), (), (0.0, 0.0)),  # of both parts behind the wall that divides them
-    (((-50.0, 30.0), (2.0, 50.0)), (), (0.0, 0.0)),  # of one
-    (((-50.0, 30.0), (2.0, 50.0)), (5.0, 8.0, 10.0), (30.0, 2.0)),  # paths lead between that wall and both
-])  # fmt: skip
-def test_a_span_ends_at_the_wall_that_divides_it(
-    spans: Sequence[tuple[float, float]], crossed: Sequence[float], expected: tuple[float, float]
+SPANS = (-50.0, 30.0), (-30.0, 50.0)
+"""Two parts of a wall that are divided at 0, each with a span past that, to a post."""
+
+
+@pytest.mark.parametrize("step_in", [0.0, 0.3, 2.0, 5.0])
+@pytest.mark.parametrize("spots", [((-50.0, -2.0), (2.0, 50.0)), ((-50.0, 1.0), (-3.0, 50.0))])
+@pytest.mark.parametrize("has_posts", [False, True])
+def test_spans_end_at_the_wall_behind_which_they_are_hidden(
+    step_in: float, spots: Sequence[tuple[float, float]], has_posts: bool
 ) -> None:
-    lines = [line_at(Y, 0.0), line_at(Y, 0.3), line_at(X, 0.0, crossed)]
+    lines = [line_at(Y, 0.0), line_at(Y, step_in), line_at(X, 0.0)]
+    pieces = [piece_on(lines[row], row, *SPANS[row], *spots[row]) for row in range(2)]
+    posts = [(30.0, 0.0), (-30.0, step_in)] if has_posts else []
+    left, right, inner = found = with_ends([*pieces, piece_on(lines[2], 2, 7.0, 60.0)], lines, posts)
+    np.testing.assert_allclose([left.ends[1], right.ends[0]], [(0.0, 0.0), (0.0, step_in)], atol=1e-9)
+    np.testing.assert_allclose(inner.ends[0], (0.0, 0.0), atol=1e-9)
+    assert left.closed[1]
+    assert right.closed[0]
+    # What was measured is within.
+    assert left.measured[1] <= 1e-9
+    assert right.measured[0] >= -1e-9
+    assert check(found) == []
+
+
+@pytest.mark.parametrize(("inner", "crossed", "ahead_in", "end_in"), [
+    ((7.0, 60.0), (), None, 0.0),
+    ((7.0, 60.0), (), 12.0, 30.0),  # something was measured behind it
+    ((-60.0, -7.0), (), 12.0, 30.0),  # it is a wall of the next room
+    ((7.0, 60.0), (), 30.0, 0.0),  # what was measured is past it
+    ((27.0, 60.0), (), None, 30.0),  # it ends far from there
+    ((17.0, 60.0), (5.0, 8.0, 10.0), None, 30.0),  # paths lead between both
+])  # fmt: skip
+def test_a_span_is_cut_only_where_it_is_hidden(
+    inner: tuple[float, float], crossed: Sequence[float], ahead_in: float | None, end_in: float
+) -> None:
+    lines = [line_at(Y, 0.0), line_at(X, 0.0, crossed), line_at(X, 30.0)]
     pieces = [
-        piece_on(lines[0], 0, *spans[0], -50.0, -2.0), piece_on(lines[1], 1, *spans[1], 2.0, 50.0),
-        piece_on(lines[2], 2, 14.0, 60.0),
+        piece_on(lines[0], 0, -50.0, 30.0, -50.0, -2.0), piece_on(lines[1], 1, *inner),
+        piece_on(lines[2], 2, 5.0, 60.0),
     ]  # fmt: skip
-    left, right, inner = with_ends(pieces, lines)
-    np.testing.assert_allclose((left.ends[1, 0], right.ends[0, 0]), expected, atol=1e-9)
-    assert inner.closed[0] == (not crossed)
-    if not crossed:
-        assert check([left, right, inner]) == []
+    paths = NO_PATHS
+    if ahead_in is not None:
+        paths = np.tile((2.0, ahead_in), (3, 1)), np.tile((29.0, ahead_in), (3, 1))
+    left, *_ = with_ends(pieces, lines, [(30.0, 0.0)], paths)
+    np.testing.assert_allclose(left.ends[1], (end_in, 0.0), atol=1e-9)
+
+
+def test_a_line_along_a_span_does_not_cut_it() -> None:
+    slanted = np.array((np.sin(radians(8.0)), np.cos(radians(8.0))))
+    along = np.array((slanted[1], -slanted[0]))
+    lines = [line_at(Y, 0.0), walls._Line(slanted, along, 0.0, np.zeros(0), np.zeros(0))]
+    pieces = [piece_on(lines[0], 0, -50.0, 30.0, -50.0, -2.0), piece_on(lines[1], 1, -40.0, -10.0)]
+    assert with_ends(pieces, lines)[0].ends[1].tolist() == [30.0, 0.0]
 
 
 @pytest.mark.parametrize(("apart_in", "count"), [(0.2, 1), (1.5, 2)])
 def test_sides_of_a_wall_over_one_another_are_one(apart_in: float, count: int) -> None:
-    lines = [line_at(Y, 0.0), line_at(-Y, -apart_in), line_at(Y, 0.1)]
     # The second line leads the other way, as the opposite side of a wall does; the third one is beyond both.
-    lines[1] = replace(lines[1], along=-X)
+    lines = [line_at(Y, 0.0), replace(line_at(-Y, -apart_in), along=-X), line_at(Y, 0.1)]
     pieces = [
         piece_on(lines[0], 0, 0.0, 40.0, 4.0, 38.0), piece_on(lines[1], 1, -62.0, -20.0, -60.0, -22.0),
         piece_on(lines[2], 2, 90.0, 130.0),
     ]  # fmt: skip
     found, its = walls._without_doubled(pieces, lines)
     assert [piece.wall for piece in found] == [[0, 1, 2], [1, 2]][count == 1]
-    assert len(its) == len(found) == count + 1
+    assert all(one is other for one, other in zip(its, lines[2 - count :], strict=True))
     if count == 1:
-        assert found[0].spots == (-60.0, -4.0)
+        # What was measured, and the spots of its surface, are those of the longer one.
+        assert found[0].measured == (-60.0, -22.0)
         assert found[0].echoes == 18
         np.testing.assert_allclose(found[0].ends, [(62.0, apart_in), (0.0, apart_in)])
 
 
-@pytest.mark.parametrize(("gap_in", "aside_in", "is_closed"), [(3.6, 0.1, True), (3.6, 1.0, False), (9.0, 0.1, False)])
-def test_a_wall_goes_on_behind_the_end_of_a_thick_one(gap_in: float, aside_in: float, is_closed: bool) -> None:
+def test_short_wall_at_an_angle_is_not_one_with_a_long_one() -> None:
+    slanted = np.array((-np.sin(radians(10.0)), np.cos(radians(10.0))))
+    lines = [line_at(Y, 0.0), walls._Line(slanted, np.array((slanted[1], -slanted[0])), 0.0, np.zeros(0), np.zeros(0))]
+    pieces = [piece_on(lines[0], 0, -30.0, 40.0), piece_on(lines[1], 1, -2.0, 60.0, -2.0, 2.7)]
+    assert len(walls._without_doubled(pieces, lines)[0]) == 2
+
+
+def test_only_walls_that_are_written_are_without_doubled_ones(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot that drives needs the runs of each wall of the map."""
+    calls = []
+
+    def counted(pieces: list[walls.Piece], lines: list[walls._Line]) -> tuple[list[walls.Piece], list[walls._Line]]:
+        calls.append(len(pieces))
+        return pieces, lines
+
+    monkeypatch.setattr(walls, "_without_doubled", counted)
+    extract_walls(estimate, with_accuracy=False)
+    assert calls == []
+    extract_walls(estimate)
+    assert calls == [4]
+
+
+@pytest.mark.parametrize(("gap_in", "aside_in", "crossed", "is_closed"), [
+    (3.6, 0.1, (), True), (3.6, 1.0, (), True), (3.6, 3.0, (), False), (9.0, 0.1, (), False),
+    (3.6, 0.1, (1.5, 2.0, 2.1), False),
+])  # fmt: skip
+def test_a_wall_goes_on_behind_the_end_of_a_thick_one(
+    gap_in: float, aside_in: float, crossed: Sequence[float], is_closed: bool
+) -> None:
     """Two parts of an outer wall end at the faces of an inner one."""
-    lines = [line_at(Y, 0.0), line_at(Y, aside_in), line_at(X, 0.0), line_at(X, gap_in)]
+    lines = [line_at(Y, 0.0, crossed), line_at(Y, aside_in), line_at(X, 0.0), line_at(X, gap_in)]
     ends = [(-50.0, -2.0), (gap_in + 2.0, 50.0), (7.0, 60.0), (7.0, 60.0)]
     pieces = [piece_on(line, wall, *own) for wall, (line, own) in enumerate(zip(lines, ends, strict=True))]
-    left, right, *_ = with_ends(pieces, lines)
-    np.testing.assert_allclose(left.ends[1], (gap_in, aside_in) if is_closed else (0.0, 0.0), atol=1e-9)
+    left, right, *_ = found = with_ends(pieces, lines)
+    np.testing.assert_allclose(left.ends[1], (gap_in if is_closed else 0.0, 0.0), atol=1e-9)
     np.testing.assert_allclose(right.ends[0], (gap_in, aside_in), atol=1e-9)
+    if is_closed:
+        # The other end of the thick wall is open.
+        assert [finding for finding in check(found) if finding.place_in[1] < 30.0] == []
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_an_end_reaches_the_nearest_of_two_walls(order: Sequence[int]) -> None:
+    lines = [line_at(Y, 0.0), line_at(X, 0.0), line_at(X, 2.9)]
+    pieces = [piece_on(lines[0], 0, -40.0, -1.0), *(piece_on(lines[row], row, -30.0, 30.0) for row in order)]
+    walls._close_small_gaps(pieces, 3.5)
+    np.testing.assert_allclose(pieces[0].ends[1], (0.0, 0.0), atol=1e-9)
+
+
+def test_walls_of_no_length_close_no_gap() -> None:
+    lines = [line_at(Y, 0.0), line_at(X, 0.0)]
+    pieces = [piece_on(lines[0], 0, -40.0, -1.0), piece_on(lines[1], 1, 5.0, 5.0)]
+    walls._close_small_gaps(pieces, 3.5)
+    np.testing.assert_allclose(pieces[0].ends[1], (-1.0, 0.0))
 
 
 def test_accuracy_of_parts_does_not_depend_on_their_order(estimate: MapEstimate) -> None:
@@ -711,7 +802,7 @@ def test_accuracy_of_parts_does_not_depend_on_their_order(estimate: MapEstimate)
             walls.Piece(wall, first, last, np.array((line.at(first), line.at(last))), [False, False], 9)
             for (wall, first, last), line in zip(rows, lines, strict=True)
         ]
-        pieces, lines = walls._with_ends(pieces, lines, found.state.points[:0], 3.5)
+        pieces, lines = walls._with_ends(pieces, lines, found.state.points[:0], paths, 3.5)
         walls._add_accuracy(found, pieces, lines)
         return [(piece.std_in, piece.std_rad, *(std or 0.0 for std in piece.end_stds_in)) for piece in pieces]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,23 @@ def test_go_publishes_goal_estimate_and_truth_each_period() -> None:
     off = [math.dist(one["pose"][:2], one["truth"][:2]) for one in output]
     assert 0 < max(off) < 2, "the truth is that of the estimate's own instant"
     assert any(echo["refusal"] == "none" for one in output for echo in one["echoes"])
+
+
+@pytest.mark.parametrize("command", [("go", "--to", "-20,30"), ("localize", "--waypoints", "-20,30")])
+def test_no_truth_is_published_or_reported_on_a_map_with_a_frame_of_its_own(
+    command: Sequence[str], learned: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    address = "sim:several_walls?noisy=1&seed=1&start=5,5,0"
+    words = ("--map", learned, "--start", "0,0,90", "--json")
+    with page_that(lambda _: (200, '{"waypoints": null, "set": 0}')) as (url, received):
+        assert main([command[0], address, *command[1:], *words, "--publish", url]) == 0
+    assert len(received) > 10
+    assert {parse_estimate(json.dumps(message))["truth"] for _, message in received} == {None}
+    report = json.loads(capsys.readouterr().out)
+    assert (report["truth"] is None) == (command[0] == "go")
+    # On the map of the world both have one.
+    assert main([command[0], address, command[1], "30,20", "--map", "several_walls", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["truth"] is not None
 
 
 def test_localize_that_stays_needs_no_path_point_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
