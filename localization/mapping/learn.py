@@ -181,7 +181,8 @@ class MapLearner:
         for estimate in (self.estimate, other.estimate):
             # With the echoes that `trim_surfaces` has left out of either.
             estimate.associate()
-        if adopt_walls(self.estimate, other.estimate) + square(self.estimate):
+        # A wall of the other map may be one with a wall of this one.
+        if adopt_walls(self.estimate, other.estimate) + merge(self.estimate) + square(self.estimate):
             tie_points(self.estimate)
             self.estimate.optimize(LAST_STEPS)
             self.estimate.associate()

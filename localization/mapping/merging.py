@@ -196,12 +196,12 @@ def find_undecided(estimate: MapEstimate) -> list[tuple[int, int]]:
     return [
         (int(numbers[one]), int(numbers[other]))
         for one, other in _merge_pairs(estimate)
-        if _overlap(segments[one], segments[other]) > MIN_BASE_IN
+        if overlap_in(segments[one], segments[other]) > MIN_BASE_IN
         and _merged(estimate, one, other).cost < estimate.cost + MIN_DIFFERENCE
     ]
 
 
-def _overlap(one: Floats, other: Floats) -> float:
+def overlap_in(one: Floats, other: Floats) -> float:
     """Return the length that two segments (4,) have in common along the first one."""
     along = one[2:] - one[:2]
     length = max(float(np.hypot(*along)), 1e-9)

@@ -38,8 +38,9 @@ from localization.mapping.consistency import (
     explains_enough,
     least_explained,
 )
+from localization.mapping.features import MIN_BASE_IN
 from localization.mapping.live import LiveMapper
-from localization.mapping.merging import find_undecided
+from localization.mapping.merging import find_undecided, overlap_in
 from localization.mapping.problem import COMMON_OFFSET, NO_FEATURE, sensors_at
 from localization.mapping.reflectors import crossings, segments_of
 from localization.mapping.spans import SAME_CORNER_IN
@@ -374,11 +375,23 @@ def highest_std_in(estimate: MapEstimate) -> float:
 def quality_of(estimate: MapEstimate, walls: Sequence[Piece]) -> Quality:
     """Return how well a map, whose walls these are, explains its readings."""
     middles = segments_of(estimate.state.walls, estimate.extents).reshape(-1, 2, 2).mean(axis=1)
-    undecided = middles[[one for one, _ in find_undecided(estimate)]]
+    undecided = middles[[one for one, other in find_undecided(estimate) if _are_side_by_side(walls, one, other)]]
     of_all, of_repeated = explained_fractions(estimate)
     parts = (*check_parts(estimate), *compare_returns(estimate))
     passed = np.array([wall.ends.mean(axis=0) for wall in passed_walls(estimate, walls)]).reshape(-1, 2)
     return Quality(of_all, parts, undecided, least_explained(estimate), of_repeated, passed)
+
+
+def _are_side_by_side(pieces: Sequence[Piece], one: int, other: int) -> bool:
+    """Return True if pieces of two walls of the map lie side by side, as they are written.
+
+    Where another wall divides a wall, the echoes of its parts lie on both lines, and the parts one after the other.
+    """
+    return any(
+        overlap_in(first.ends.reshape(4), second.ends.reshape(4)) > MIN_BASE_IN
+        for first in pieces if first.wall == one
+        for second in pieces if second.wall == other
+    )  # fmt: skip
 
 
 def calibration_of(estimate: MapEstimate) -> Calibration:

@@ -115,3 +115,23 @@ def test_a_learner_takes_walls_and_completes_its_map(estimate: MapEstimate, monk
     same.adopt(other)
     assert same.estimate.state.walls is before
     assert len(completed) == 2
+
+
+def test_a_wall_that_is_one_with_another_is_merged_with_it(
+    estimate: MapEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubled(taken: MapEstimate, _: MapEstimate) -> int:
+        # Every second echo of a wall is of one beside it.
+        feature = taken.assignment.feature.copy()
+        feature[taken.echoes_of(0)[::2]] = len(taken.state.walls)
+        feature[taken.assignment.feature >= len(taken.state.walls)] += 1
+        taken.add_wall(taken.state.walls[0] + (0.0, 0.4), taken.extents[0])
+        taken.assignment = replace(taken.assignment, feature=feature)
+        return 1
+
+    monkeypatch.setattr(learn, "adopt_walls", doubled)
+    best, other = (MapLearner.__new__(MapLearner) for _ in range(2))
+    best.estimate, other.estimate = estimate.copy(), estimate.copy()
+    best.adopt(other)
+    assert len(best.estimate.state.walls) == len(estimate.state.walls)
+    assert best.estimate.cost == pytest.approx(estimate.cost, abs=10.0)

@@ -30,8 +30,9 @@ from localization.mapping.consistency import (
 from localization.mapping.learn import learn_map
 from localization.mapping.measurements import Indices, build_trajectory
 from localization.mapping.merging import find_undecided
-from localization.mapping.output import describe
+from localization.mapping.output import describe, quality_of
 from localization.mapping.problem import NO_FEATURE, MapProblem, Reflection
+from localization.mapping.walls import extract_walls
 from localization.mapping.weights import POINT_WEIGHT
 from tests.localization.mapping.drives import drive
 from tests.localization.mapping.test_problem import dense, difference_jacobian, perturbed, trajectory
@@ -143,16 +144,29 @@ def test_loop_that_strains_the_odometry_is_found(estimate: MapEstimate) -> None:
     assert loop.excess > 1.0
 
 
-def test_wall_that_may_be_two_is_undecided(estimate: MapEstimate) -> None:
+@pytest.mark.parametrize(("aside_in", "is_refused"), [(0.55, True), (0.1, False)])
+def test_wall_that_may_be_two_is_undecided(estimate: MapEstimate, aside_in: float, is_refused: bool) -> None:
     assert find_undecided(estimate) == []
-    # Every second echo of a wall is taken for one of another wall, 0.1 in beside it.
-    double = estimate.copy()
-    double.add_wall(estimate.state.walls[0] + (0.0, 0.1), estimate.extents[0])
+    # Every second echo of a wall is taken for one of another wall beside it.
+    double, count = estimate.copy(), len(estimate.state.walls)
+    double.add_wall(estimate.state.walls[0] + (0.0, aside_in), estimate.extents[0])
     feature = double.assignment.feature.copy()
-    feature[estimate.echoes_of(0)[::2]] = len(estimate.state.walls)
+    feature[estimate.echoes_of(0)[::2]] = count
     double.assignment = replace(double.assignment, feature=feature)
-    assert [set(pair) for pair in find_undecided(double)] == [{0, len(estimate.state.walls)}]
-    assert "one wall or two" in describe(double).reason_to_refuse()
+    assert [set(pair) for pair in find_undecided(double)] == [{0, count}]
+    # Less than 0.5 in apart they are written as one.
+    assert (describe(double).reason_to_refuse() != "") == is_refused
+    if is_refused:
+        assert "one wall or two" in describe(double).reason_to_refuse()
+        # One after the other they are the same wall, however many they are.
+        pieces = [piece for piece in extract_walls(double) if piece.wall in {0, count}]
+        parts = np.array([[[0.0], [0.5]], [[0.5], [1.0]]])
+        in_line = [
+            replace(piece, ends=piece.ends[0] + part * (piece.ends[1] - piece.ends[0]))
+            for piece, part in zip(pieces, parts, strict=True)
+        ]
+        assert len(quality_of(double, pieces).undecided) == 1
+        assert len(quality_of(double, in_line).undecided) == 0
 
 
 def test_stretch_that_nothing_explains_refuses_the_map(estimate: MapEstimate) -> None:
