@@ -155,23 +155,23 @@ class Run:
     def fit_truth(self) -> None:
         """Turn and shift the true path so that it fits the estimates best, on a map with a frame of its own.
 
-        The path of a robot that has hardly moved fits anyhow: it is left out, and there are no errors.
+        The path of a robot that has hardly moved fits anyhow, and one that was lost all the time has nothing to be
+        fitted to: they are left out, and there are no errors.
         """
         self._is_fitted = True
-        rows = [row for row, moment in enumerate(self.moments) if moment.error is not None]
-        if not rows:
+        pairs = [(moment.estimate.pose[:2], moment.truth[:2]) for moment in self.moments
+                 if moment.truth is not None and moment.error is not None]  # fmt: skip
+        estimates, true = np.array(pairs).reshape(-1, 2, 2).swapaxes(0, 1)
+        spread_in = float(np.hypot(*true.std(axis=0))) if pairs else 0.0
+        if spread_in < MIN_FITTED_IN:
+            self.moments = [moment._replace(truth=None) for moment in self.moments]
             return
-        estimates = np.array([self.moments[row].estimate.pose[:2] for row in rows])
-        true = np.array([self.moments[row].truth for row in rows])
-        is_fit = float(np.sqrt(np.square(true[:, :2] - true[:, :2].mean(axis=0)).sum(axis=1).mean())) >= MIN_FITTED_IN
-        turn, shift = rigid_fit(true[:, :2], estimates)
+        turn, shift = rigid_fit(true, estimates)
         frame = np.array((*shift, turn))
         for row, moment in enumerate(self.moments):
-            truth = None
-            if is_fit and moment.truth is not None:
+            if moment.truth is not None:
                 x, y, heading = compose(frame, np.array(moment.truth)).tolist()
-                truth = x, y, wrap_angle(heading)
-            self.moments[row] = moment._replace(truth=truth)
+                self.moments[row] = moment._replace(truth=(x, y, wrap_angle(heading)))
 
     def odometry_errors_in(self) -> Floats:
         """Return the position errors (k,) of the encoders in inches, of periods with ground truth."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from localization.filters.belief import independent
+from localization.filters.health import FilterHealth, HealthStatus
 from localization.filters.update import Refusal
 from localization.live.estimate import Echo, Estimate
 from localization.live.run import Run, RunMoment, TruthSample
@@ -77,10 +78,18 @@ def test_true_path_is_fitted_on_a_map_with_a_frame_of_its_own(size_in: float) ->
     assert "these errors are from the true path as it fits best: the map has a frame of its own" in done.verdict()
 
 
-def test_without_estimates_to_fit_to_there_is_no_frame() -> None:
-    done = run(with_truth=False)
+@pytest.mark.parametrize("with_truth", [False, True])
+def test_without_estimates_to_fit_to_there_is_no_truth(with_truth: bool) -> None:
+    done = run(with_truth)
+    done.has_own_frame = True
+    if with_truth:
+        health = FilterHealth(HealthStatus.LOST, "2 places look alike")
+        done.moments = [
+            moment._replace(estimate=moment.estimate._replace(health=health)) for moment in done.moments
+        ]  # fmt: skip
     done.fit_truth()
-    assert done.summary()["truth_frame"] is None
+    summary = done.summary()
+    assert (summary["truth"], summary["truth_frame"]) == (None, None)
 
 
 def test_without_a_truth_nothing_is_made_up() -> None:
