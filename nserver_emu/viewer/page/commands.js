@@ -23,6 +23,13 @@ export async function control(app, command, argument) {
   return answer;
 }
 
+// Send a control command that only reads. What a notice says stays on the page.
+export async function query(app, command) {
+  const answer = await app.link.request({ do: 'control', command });
+  if (!answer.ok) app.notice(answer.error);
+  return answer;
+}
+
 // Start or end the localizer of the selected robot.
 export async function callLocalizer(app, message) {
   const answer = await app.link.request({ ...message, robot: Number(app.robot) });

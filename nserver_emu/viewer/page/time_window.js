@@ -1,7 +1,7 @@
 // The window Time and faults: settings of the running server. Hidden on read-only pages.
 
 import { element, button, field, form } from './widgets.js';
-import { control } from './commands.js';
+import { control, query } from './commands.js';
 
 export const timeWindow = {
   id: 'time', title: 'Time and faults', closed: true,
@@ -18,7 +18,7 @@ export const timeWindow = {
       element('div', { className: 'row' }, this.factor.label, button('As fast as possible', () => send('speed', 'max'))));
     this.lockstep = element('p', { className: 'quiet', id: 'lockstep', hidden: true });
     box.append(this.lockstep);
-    this.buildFaults(box, send);
+    this.buildFaults(box, app, send);
   },
   async change(send) {
     this.isSending = true;
@@ -26,23 +26,33 @@ export const timeWindow = {
     this.isSending = false;
     this.shown = null;
   },
-  buildFaults(box, send) {
+  buildFaults(box, app, send) {
     const plan = element('textarea', { rows: 5, style: 'width:100%', spellcheck: false, id: 'faults',
       placeholder: '[[rule]]\ndo = "drop"\nevery = 10' });
     plan.setAttribute('aria-label', 'Fault plan in TOML');
+    // Show the plan of the server, unless another text than `shown` has been typed.
+    let shown = '';
     const show = async () => {
-      const before = plan.value, answer = await send('faults show');
-      if (answer.ok && plan.value === before) plan.value = answer.result.plan;  // text typed meanwhile stays
+      const answer = await query(app, 'faults show');
+      if (answer.ok && plan.value === shown) plan.value = shown = answer.result.plan;
     };
     const counts = element('output', { className: 'quiet', id: 'faults-counts' });
     const count = async () => {
-      const answer = await send('faults counts');
+      const answer = await query(app, 'faults counts');
       if (answer.ok) counts.textContent = countsText(answer.result.counts);
+    };
+    // Send a command that changes the plan. Text typed while the server answers stays.
+    const change = async (command, argument) => {
+      const before = plan.value, answer = await send(command, argument);
+      if (!answer.ok) return;
+      shown = before;
+      await show();
+      await count();
     };
     box.append(element('details', { id: 'faults-part', ontoggle: (event) => { if (event.target.open) { show(); count(); } } },
       element('summary', {}, 'Fault injection'), plan, element('div', { className: 'row' },
-        button('Apply', async () => { if ((await send('faults set', { text: plan.value, file: 'the page' })).ok) { await show(); count(); } }, { id: 'faults-set' }),
-        button('Clear', async () => { if ((await send('faults clear')).ok) { await show(); count(); } }, { id: 'faults-clear' }),
+        button('Apply', () => change('faults set', { text: plan.value, file: 'the page' }), { id: 'faults-set' }),
+        button('Clear', () => change('faults clear'), { id: 'faults-clear' }),
         button('Count', count, { id: 'faults-count' })), counts));
   },
   update(app) {

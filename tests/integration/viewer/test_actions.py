@@ -186,6 +186,21 @@ def test_pause_step_speed_and_faults(browser: Browser) -> None:
         page.wait("document.querySelector('#notice').innerText.includes('the page')")
 
 
+def test_open_faults_lose_neither_text_nor_notice(browser: Browser) -> None:
+    """The browser reports an opened part later: what was typed and reported until then must stay."""
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        page.value("""(async () => {
+            const part = document.querySelector('#faults-part');
+            const isReported = new Promise((resolve) => part.addEventListener('toggle', resolve, { once: true }));
+            part.open = true;
+            document.querySelector('#faults').value = '[[rule]]\\nkind = "unknown"\\n';
+            document.querySelector('#faults-set').click();
+            await isReported; })()""")
+        page.wait("document.querySelector('#faults-counts').innerText === 'no faults are active'")
+        assert "the page" in page.page.inner_text("#notice")
+        assert "unknown" in page.page.input_value("#faults")
+
+
 def test_saved_world_can_be_loaded(browser: Browser, tmp_path: Path) -> None:
     with nserver("centre_vertex") as program, open_page(browser, program.url) as page:
         page.page.fill("#corners", "70,70 80,70 80,80")
