@@ -146,7 +146,7 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     ends = np.concatenate((points[ones], points[others]), axis=1)
     along = (ends[:, 2:] - ends[:, :2]) / lengths[ones, others, None]
     # 1. Paths that have passed.
-    is_uncrossed = _count_crossings(paths, ends, along) < MIN_CROSSINGS
+    is_uncrossed = _count_crossings(paths, ends, along, estimate.surface_in) < MIN_CROSSINGS
     is_uncrossed &= ~_are_diagonals(ends, ones, others, is_uncrossed, lengths)
     is_uncrossed &= ~cut_corners(estimate, ends)
     closes = _closing(estimate, ends, ones, others, is_uncrossed)
@@ -171,13 +171,19 @@ def uncrossed_spans(estimate: MapEstimate, paths: tuple[Floats, Floats]) -> list
     return sorted(found, key=lambda span: float(lengths[span.one, span.other]))
 
 
-def _count_crossings(paths: tuple[Floats, Floats], ends: Floats, along: Floats) -> Indices:
-    """Return the number of paths that cross each span (s, 4) of a direction (s, 2), not near its ends, nor along it."""
+def _count_crossings(paths: tuple[Floats, Floats], ends: Floats, along: Floats, surface_in: float) -> Indices:
+    """Return the number of paths that cross each span (s, 4) of a direction (s, 2), not near its ends, nor along it.
+
+    A path that ends nearer to the line than the surface of a wall may be from it has not crossed the wall.
+    """
     inner = np.concatenate((ends[:, :2] + BLOCKED_IN * along, ends[:, 2:] - BLOCKED_IN * along), axis=1)
     path = paths[1] - paths[0]
     lengths = np.maximum(np.hypot(path[:, 0], path[:, 1]), 1e-9)[:, None]
     across = np.abs(path[:, 1:] * along[:, 0] - path[:, :1] * along[:, 1]) / lengths
-    return np.asarray((crossings(*paths, inner) & (across > np.sin(MIN_ACROSS_RAD))).sum(axis=0), dtype=np.intp)
+    off = paths[1][:, None] - ends[:, :2]
+    beyond_in = np.abs(off[..., 1] * along[:, 0] - off[..., 0] * along[:, 1])
+    crosses = crossings(*paths, inner) & (across > np.sin(MIN_ACROSS_RAD)) & (beyond_in >= surface_in)
+    return np.asarray(crosses.sum(axis=0), dtype=np.intp)
 
 
 def _facing(sensors: Sensors, frame: _Frame) -> tuple[Mask, Floats]:

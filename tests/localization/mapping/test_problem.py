@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
@@ -16,12 +17,16 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeSonar
 from localization.mapping.measurements import Trajectory, build_trajectory
 from localization.mapping.problem import (
+    BEARING_COST,
+    HALF_CONE_RAD,
     LEVEL_CELL_IN,
     NO_FEATURE,
     NO_LEVEL,
     RIGHT_ANGLE_STD_RAD,
+    ROBUST_LIMIT,
     SAME_LEVEL_STD_IN,
     SQUARE_STD_RAD,
+    WALL_BEARING_STD_RAD,
     Assignment,
     Levels,
     MapProblem,
@@ -202,6 +207,28 @@ def test_cost_is_the_same_in_every_frame(x: float, y: float, turn: float, seed: 
     walls = np.stack((angle, state.walls[:, 1] + x * np.cos(angle) + y * np.sin(angle)), axis=-1)
     moved = MapState(poses, walls, rotate(state.points, np.full(len(POINTS), turn)) + shift, state.parameters)
     assert problem.cost(moved, assignment) == pytest.approx(problem.cost(state, assignment), rel=1e-7)
+
+
+def test_bearings_of_walls_and_points_have_densities_over_the_same_cone() -> None:
+    """Oracle: integrals. A point's density is 1 by its width within the cone, a wall's a normal one that ends there."""
+
+    def of_wall(bearing_rad: float) -> float:
+        return float(np.exp(-0.5 * ((bearing_rad / WALL_BEARING_STD_RAD) ** 2 + BEARING_COST)))
+
+    whole, _ = quad(of_wall, -HALF_CONE_RAD, HALF_CONE_RAD)
+    assert whole == pytest.approx(2.0 * HALF_CONE_RAD, rel=1e-9)
+
+
+@pytest.mark.parametrize("rays", [False, True])
+def test_cost_is_that_of_all_residuals(trajectory: Trajectory, rays: bool) -> None:
+    problem = MapProblem(trajectory, 16, rays=rays, robust=False)
+    state, assignment = perturbed(trajectory, 3)
+    feature = assignment.feature[trajectory.node < NODES]
+    of_walls, unexplained = int(((feature >= 0) & (feature < len(WALLS))).sum()), int((feature == NO_FEATURE).sum())
+    assert of_walls > 20
+    residuals = np.square(problem.residual_vector(state, assignment)).sum()
+    bearings = 0.0 if rays else BEARING_COST * of_walls
+    assert problem.cost(state, assignment) == pytest.approx(residuals + ROBUST_LIMIT**2 * unexplained + bearings)
 
 
 # Surfaces of walls.

@@ -130,6 +130,18 @@ def test_points_with_sound_between_them_are_none(estimate: MapEstimate, opened: 
     assert {4, 5} in [{span.one, span.other} for span in uncrossed_spans(opened, single)]
 
 
+@pytest.mark.parametrize(("beyond_in", "surface_in", "is_open"), [
+    (3.0, 0.0, True), (3.0, 3.5, False), (4.0, 3.5, True),
+])  # fmt: skip
+def test_sound_that_ends_where_a_surface_may_be_has_not_passed(
+    opened: MapEstimate, monkeypatch: pytest.MonkeyPatch, beyond_in: float, surface_in: float, is_open: bool
+) -> None:
+    monkeypatch.setattr(MapEstimate, "surface_in", surface_in)
+    starts = np.array(((20.0, 0.0), (30.0, 0.0)))
+    paths = starts, starts - (0.0, 25.0 + beyond_in)
+    assert ({4, 5} not in [{span.one, span.other} for span in uncrossed_spans(opened, paths)]) == is_open
+
+
 def test_what_is_measured_behind_a_span_leaves_it_open(opened: MapEstimate) -> None:
     # The wall is 6 in behind two points, as a door is behind its posts.
     opened.add_point(np.array((10.0, -19.0)))
