@@ -96,6 +96,8 @@ MIN_JOIN_ECHOES: Final = 4
 """Echoes that must support a wall between two points, unless no sound passes where it should."""
 JOINED_PENALTY: Final = 15.0
 """Of a wall between two points, which has no unknowns of its own."""
+RIVAL_RAD: Final = radians(20.0)
+"""Two spans from one point whose directions differ by less are the same wall to either of two ends."""
 POINT_ON_WALL_IN: Final = 2.5
 POST_APART_IN: Final = 2.0
 """Posts nearer to one another are one."""
@@ -657,19 +659,38 @@ def join_points(estimate: MapEstimate) -> int:
     A short wall is seen over too little of its length to be told from a point; its ends are seen from farther off.
     Where sound should have passed, or sonars have measured a surface, the wall need not pay for itself. It is
     added once only: if it turns away from its points when everything is optimized, so may all that follow it.
+    Of spans from the same point in about the same direction the best one is added: a point beside the wall is no end.
     """
     joined, tried = list[Floats](), set[tuple[float, ...]]()
     while True:
-        for span in uncrossed_spans(estimate, free_paths(estimate)):
+        spans = uncrossed_spans(estimate, free_paths(estimate))
+        for span in spans:
             key = tuple(span.ends.tolist())
             if key in tried or _was_joined(span, joined):
                 continue
             tried.add(key)
-            if _try_join(estimate, span):
-                joined.append(span.ends)
-                break
+            if (trial := _joined(estimate, span)) is None:
+                continue
+            rivals = [other for other in spans if _are_rivals(span, other) and not _was_joined(other, joined)]
+            trials = [(span, trial), *((other, _joined(estimate, other)) for other in rivals)]
+            best, trial = min(((each, one) for each, one in trials if one is not None), key=lambda pair: pair[1].cost)
+            estimate.replace_by(trial)
+            joined.append(best.ends)
+            break
         else:
             return len(joined)
+
+
+def _are_rivals(one: Span, other: Span) -> bool:
+    """Return True for two spans from the same point in about the same direction."""
+    common = {one.one, one.other} & {other.one, other.other}
+    if len(common) != 1:
+        return False
+    first, second = (
+        np.subtract(*span.ends.reshape(2, 2)) * (1.0 if span.one in common else -1.0) for span in (one, other)
+    )
+    angle = np.arctan2(first[0] * second[1] - first[1] * second[0], first @ second)
+    return bool(abs(angle) < RIVAL_RAD)
 
 
 def _was_joined(span: Span, joined: list[Floats]) -> bool:
@@ -691,13 +712,13 @@ def _have_ends(estimate: MapEstimate) -> Mask:
     return np.asarray(before.any(axis=0) & after.any(axis=0), dtype=np.bool_)
 
 
-def _try_join(estimate: MapEstimate, span: Span) -> bool:
-    """Add a wall between two points if the total cost falls; return True if it did."""
+def _joined(estimate: MapEstimate, span: Span) -> MapEstimate | None:
+    """Return the map with a wall between two points; None if the total cost does not fall."""
     state, problem = estimate.state, estimate.problem
     # 1. The line through both.
     line, extent = _line_of(span)
     if pass_through(state.walls, span.ends[None], POINT_ON_WALL_IN + estimate.surface_in).any():
-        return False
+        return None
     # 2. It must explain echoes of its inner part that no wall explains.
     if not span.is_wall:
         echoes = estimate.echoes()
@@ -710,7 +731,7 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         feet = spots[:, 0] @ (-np.sin(line[0]), np.cos(line[0]))
         supports = (np.abs(residual[:, 0]) < ROBUST_LIMIT) & (feet > extent[0]) & (feet < extent[1])
         if supports.sum() < MIN_JOIN_ECHOES:
-            return False
+            return None
     trials = [_with_wall(estimate, line, extent)]
     within_in = DEEP_SIGMAS * problem.reflection.surface_std_in
     if len(_points_between(estimate, line, extent, within_in)) and estimate.surface_in:
@@ -718,11 +739,7 @@ def _try_join(estimate: MapEstimate, span: Span) -> bool:
         trials.append(_with_wall(estimate, line, extent, within_in))
     penalty = PENALTY["wall"] if span.is_wall else PENALTY["wall"] - JOINED_PENALTY
     costs = [trial.cost - penalty - (float(trial.surface_costs[-1]) if span.is_wall else 0.0) for trial in trials]
-    if min(costs) > estimate.cost:
-        return False
-    trial = trials[int(np.argmin(costs))]
-    estimate.replace_by(trial)
-    return True
+    return None if min(costs) > estimate.cost else trials[int(np.argmin(costs))]
 
 
 def close_wall_ends(estimate: MapEstimate) -> int:

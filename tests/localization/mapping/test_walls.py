@@ -114,8 +114,33 @@ def test_wall_that_turns_away_from_its_points_is_added_once(
         *(Span(0, 1, np.array((*second, *first)) + moved_in, 9) for _ in range(9)),
     ]
     monkeypatch.setattr(revision, "uncrossed_spans", lambda *_: [spans.pop(0)])
-    monkeypatch.setattr(revision, "_try_join", lambda *_: True)
+    monkeypatch.setattr(revision, "_joined", lambda found, _: found.copy())
     assert join_points(opened) == walls_added
+
+
+def test_best_span_of_those_in_one_direction_is_joined(opened: MapEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From (0, 0): a point beside the line comes first, the wall's end costs least, and others are of other walls."""
+    spans = [
+        Span(1, 0, np.array((18.0, 3.0, 0.0, 0.0)), 9),
+        Span(0, 2, np.array((0.0, 0.0, 22.0, 0.0)), 9),
+        Span(0, 3, np.array((0.0, 0.0, 22.0, -6.0)), 9),
+        Span(0, 4, np.array((0.0, 0.0, 0.0, 30.0)), 9),
+        Span(0, 5, np.array((0.0, 0.0, -25.0, 1.0)), 9),
+        Span(2, 6, np.array((22.0, 0.0, 40.0, 1.0)), 9),
+    ]
+    costs = {1: 50.0, 2: 40.0, 4: 1.0, 5: 2.0, 6: 3.0}
+    trials, taken = {number: opened.copy() for number in costs}, list[MapEstimate]()
+    for number, trial in trials.items():
+        trial.label = number  # type: ignore[attr-defined]
+    monkeypatch.setattr(MapEstimate, "cost", property(lambda self: costs[self.label]))
+    monkeypatch.setattr(MapEstimate, "replace_by", lambda _, other: taken.append(other))
+    found = iter([spans, []])
+    monkeypatch.setattr(revision, "uncrossed_spans", lambda *_: next(found))
+    # The third is no wall.
+    monkeypatch.setattr(revision, "_joined", lambda _, span: trials.get(span.other or span.one))
+    assert join_points(opened) == 1
+    (best,) = taken
+    assert best is trials[2]
 
 
 def test_points_with_sound_between_them_are_none(estimate: MapEstimate, opened: MapEstimate) -> None:
