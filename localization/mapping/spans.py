@@ -44,6 +44,10 @@ OVERSHOOT_IN: Final = 6.0
 POINT_ON_LINE_IN: Final = 2.5
 MIN_SPAN_IN, MAX_SPAN_IN = 8.0, 60.0
 """Lengths of walls that are looked for between two points."""
+CORNER_DEPTHS: Final = 3.0
+"""So many times as far as a surface may be from its line, a corner behind a span hides that sound has passed: by the
+surface of the corner, the end of a path, and the distance from the span within which that counts for none.
+"""
 MIN_STOPPED: Final = 4
 """Sonars that were directed between two points, not one of which has measured anything behind."""
 MAX_SILENT_IN: Final = 30.0
@@ -250,6 +254,7 @@ def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
     ]
     first, second = meets & is_behind[0], meets & is_behind[1]
     # 2. The corners of these walls.
+    deepest_in = CORNER_DEPTHS * estimate.surface_in + BLOCKED_IN
     crosses = np.abs(np.sin(walls[:, :1] - walls[:, 0])) > np.sin(MIN_CORNER_RAD)
     for one, other in np.argwhere(crosses):
         corner = np.linalg.solve(normals[[one, other]], walls[[one, other], 1])
@@ -257,7 +262,7 @@ def cut_corners(estimate: MapEstimate, segments: Floats) -> Mask:
         depth_in = np.abs(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
         # A wall that ends in the corner is none across it.
         is_across = np.minimum(np.hypot(*off.T), np.hypot(*away.T)) > estimate.surface_in
-        found |= first[:, one] & second[:, other] & is_across & (depth_in < 2.0 * estimate.surface_in + BLOCKED_IN)
+        found |= first[:, one] & second[:, other] & is_across & (depth_in < deepest_in)
     return found
 
 

@@ -936,6 +936,8 @@ def test_surface_between_two_points_is_measured_by_sonars_that_face_it(
 
 @pytest.mark.parametrize(("first", "last", "cuts"), [
     ((-25.0, -17.0), (-13.0, -25.0), True),  # two posts, 8 and 12 in from the corner at (-25, -25)
+    ((-25.0, -8.0), (-14.0, -25.0), True),  # the corner is 9 in behind the line
+    ((-25.0, -9.0), (-3.0, -25.0), False),  # 13 in
     ((-25.0, -5.0), (15.0, -25.0), False),  # farther from the corner: sound would have come back from there
     ((-31.0, -18.0), (-18.0, -31.0), True),  # through the corner, from behind one wall to behind the other
     ((-17.0, -17.0), (-31.0, -31.0), False),  # out of the room
