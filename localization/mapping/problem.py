@@ -79,7 +79,8 @@ BEARING_COST: Final = 2.0 * log(
 """Cost of the bearing of a wall in the middle of the cone, less that of a point: twice the logarithm of the density
 there of a uniform distribution over the cone by that of a normal one that ends at its edges. Without it, a wall would
 cost 0.4 an echo more than points that explain its echoes as well. The same for each half angle, as its standard
-deviation is proportional to that."""
+deviation is proportional to that. Of walls with levels: planes are told from points without it, of 36 maps of rooms
+none is different with it, and one of four flats was refused, for a point that was measured late."""
 TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
@@ -478,6 +479,11 @@ class MapProblem:
         bearings = np.where(is_whole, off_axis / self._wall_bearing_std_rad, beyond / POINT_BEARING_STD_RAD)
         return echoes, np.stack((ranges, bearings), axis=-1), prediction
 
+    @property
+    def _counts_cone(self) -> bool:
+        """True if walls with levels and points compete for echoes of cones: then BEARING_COST counts."""
+        return bool(self.reflection.surface_std_in) and not (self.rays or self.has_fixed_map)
+
     def _has_whole_bearing(self, state: MapState, assignment: Assignment, echoes: Indices) -> npt.NDArray[np.bool_]:
         """Return True for echoes whose bearing counts within the cone too: of walls, and of all that stays in place."""
         return np.asarray((assignment.feature[echoes] < len(state.walls)) | self.has_fixed_map, dtype=np.bool_)
@@ -610,7 +616,7 @@ class MapProblem:
             np.square(self.odometry(state)[0]).sum()
             + ranges.sum()
             + np.square(residuals[:, 1]).sum()
-            + (0.0 if self.rays or self.has_fixed_map else BEARING_COST * is_wall.sum())
+            + (BEARING_COST * is_wall.sum() if self._counts_cone else 0.0)
             + ROBUST_LIMIT**2 * unexplained
             + np.square(self.tie_residuals(state, assignment)).sum()
             + robust_cost(self.angle_residuals(state, assignment)[0]).sum()

@@ -219,15 +219,20 @@ def test_bearings_of_walls_and_points_have_densities_over_the_same_cone() -> Non
     assert whole == pytest.approx(2.0 * HALF_CONE_RAD, rel=1e-9)
 
 
-@pytest.mark.parametrize("rays", [False, True])
-def test_cost_is_that_of_all_residuals(trajectory: Trajectory, rays: bool) -> None:
-    problem = MapProblem(trajectory, 16, rays=rays, robust=False)
+@pytest.mark.parametrize(("rays", "reflection", "counts"), [
+    (False, Reflection(surface_std_in=1.6), True), (False, Reflection(), False),
+    (True, Reflection(surface_std_in=1.6), False),
+])  # fmt: skip
+def test_cost_is_that_of_all_residuals(
+    trajectory: Trajectory, rays: bool, reflection: Reflection, counts: bool
+) -> None:
+    problem = MapProblem(trajectory, 16, rays=rays, robust=False, reflection=reflection)
     state, assignment = perturbed(trajectory, 3)
     feature = assignment.feature[trajectory.node < NODES]
     of_walls, unexplained = int(((feature >= 0) & (feature < len(WALLS))).sum()), int((feature == NO_FEATURE).sum())
     assert of_walls > 20
     residuals = np.square(problem.residual_vector(state, assignment)).sum()
-    bearings = 0.0 if rays else BEARING_COST * of_walls
+    bearings = BEARING_COST * of_walls if counts else 0.0
     assert problem.cost(state, assignment) == pytest.approx(residuals + ROBUST_LIMIT**2 * unexplained + bearings)
 
 
