@@ -79,8 +79,8 @@ BEARING_COST: Final = 2.0 * log(
 """Cost of the bearing of a wall in the middle of the cone, less that of a point: twice the logarithm of the density
 there of a uniform distribution over the cone by that of a normal one that ends at its edges. Without it, a wall would
 cost 0.4 an echo more than points that explain its echoes as well. The same for each half angle, as its standard
-deviation is proportional to that. Of walls with levels: planes are told from points without it, of 36 maps of rooms
-none is different with it, and one of four flats was refused, for a point that was measured late."""
+deviation is proportional to that. It counts for walls with levels alone: of planes all were found in 36 maps of rooms
+without and with it, and one of four maps of flats was refused with it, for a point that was measured late."""
 TIE_STD_IN: Final = 0.05
 """A corner is where its walls meet: plaster is that straight over a hand's breadth."""
 RIGHT_ANGLE_STD_RAD: Final = radians(0.5)
@@ -481,7 +481,7 @@ class MapProblem:
 
     @property
     def _counts_cone(self) -> bool:
-        """True if walls with levels and points compete for echoes of cones: then BEARING_COST counts."""
+        """True if BEARING_COST counts: of cones, of a map in the making whose walls have levels."""
         return bool(self.reflection.surface_std_in) and not (self.rays or self.has_fixed_map)
 
     def _has_whole_bearing(self, state: MapState, assignment: Assignment, echoes: Indices) -> npt.NDArray[np.bool_]:

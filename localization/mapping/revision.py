@@ -669,10 +669,10 @@ def join_points(estimate: MapEstimate) -> int:
             if key in tried or _was_joined(span, joined):
                 continue
             tried.add(key)
-            if (trial := _joined(estimate, span)) is None:
+            if (trial := _with_span(estimate, span)) is None:
                 continue
             rivals = [other for other in spans if _are_rivals(span, other) and not _was_joined(other, joined)]
-            trials = [(span, trial), *((other, _joined(estimate, other)) for other in rivals)]
+            trials = [(span, trial), *((other, _with_span(estimate, other)) for other in rivals)]
             best, trial = min(((each, one) for each, one in trials if one is not None), key=lambda pair: pair[1].cost)
             estimate.replace_by(trial)
             joined.append(best.ends)
@@ -712,7 +712,7 @@ def _have_ends(estimate: MapEstimate) -> Mask:
     return np.asarray(before.any(axis=0) & after.any(axis=0), dtype=np.bool_)
 
 
-def _joined(estimate: MapEstimate, span: Span) -> MapEstimate | None:
+def _with_span(estimate: MapEstimate, span: Span) -> MapEstimate | None:
     """Return the map with a wall between two points; None if the total cost does not fall."""
     state, problem = estimate.state, estimate.problem
     # 1. The line through both.

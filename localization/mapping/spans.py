@@ -45,9 +45,8 @@ POINT_ON_LINE_IN: Final = 2.5
 MIN_SPAN_IN, MAX_SPAN_IN = 8.0, 60.0
 """Lengths of walls that are looked for between two points."""
 CORNER_DEPTHS: Final = 3.0
-"""So many times as far as a surface may be from its line, a corner behind a span hides that sound has passed: by the
-surface of the corner, the end of a path, and the distance from the span within which that counts for none.
-"""
+"""No path crosses a span whose corner is less deep behind it than so many distances of a surface from its line: one for
+the surface of the corner, one by which paths are shortened, and one by which they must end beyond the span."""
 MIN_STOPPED: Final = 4
 """Sonars that were directed between two points, not one of which has measured anything behind."""
 MAX_SILENT_IN: Final = 30.0

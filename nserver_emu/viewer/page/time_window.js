@@ -30,11 +30,11 @@ export const timeWindow = {
     const plan = element('textarea', { rows: 5, style: 'width:100%', spellcheck: false, id: 'faults',
       placeholder: '[[rule]]\ndo = "drop"\nevery = 10' });
     plan.setAttribute('aria-label', 'Fault plan in TOML');
-    // Show the plan of the server, unless another text than `shown` has been typed.
-    let shown = '';
+    // Show the plan of the server, unless another text than `shownPlan` has been typed.
+    let shownPlan = '';
     const show = async () => {
       const answer = await query(app, 'faults show');
-      if (answer.ok && plan.value === shown) plan.value = shown = answer.result.plan;
+      if (answer.ok && plan.value === shownPlan) plan.value = shownPlan = answer.result.plan;
     };
     const counts = element('output', { className: 'quiet', id: 'faults-counts' });
     const count = async () => {
@@ -42,17 +42,17 @@ export const timeWindow = {
       if (answer.ok) counts.textContent = countsText(answer.result.counts);
     };
     // Send a command that changes the plan. Text typed while the server answers stays.
-    const change = async (command, argument) => {
+    const sendPlan = async (command, argument) => {
       const before = plan.value, answer = await send(command, argument);
       if (!answer.ok) return;
-      shown = before;
+      shownPlan = before;
       await show();
       await count();
     };
     box.append(element('details', { id: 'faults-part', ontoggle: (event) => { if (event.target.open) { show(); count(); } } },
       element('summary', {}, 'Fault injection'), plan, element('div', { className: 'row' },
-        button('Apply', () => change('faults set', { text: plan.value, file: 'the page' }), { id: 'faults-set' }),
-        button('Clear', () => change('faults clear'), { id: 'faults-clear' }),
+        button('Apply', () => sendPlan('faults set', { text: plan.value, file: 'the page' }), { id: 'faults-set' }),
+        button('Clear', () => sendPlan('faults clear'), { id: 'faults-clear' }),
         button('Count', count, { id: 'faults-count' })), counts));
   },
   update(app) {

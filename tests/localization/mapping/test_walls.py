@@ -114,7 +114,7 @@ def test_wall_that_turns_away_from_its_points_is_added_once(
         *(Span(0, 1, np.array((*second, *first)) + moved_in, 9) for _ in range(9)),
     ]
     monkeypatch.setattr(revision, "uncrossed_spans", lambda *_: [spans.pop(0)])
-    monkeypatch.setattr(revision, "_joined", lambda found, _: found.copy())
+    monkeypatch.setattr(revision, "_with_span", lambda found, _: found.copy())
     assert join_points(opened) == walls_added
 
 
@@ -137,7 +137,7 @@ def test_best_span_of_those_in_one_direction_is_joined(opened: MapEstimate, monk
     found = iter([spans, []])
     monkeypatch.setattr(revision, "uncrossed_spans", lambda *_: next(found))
     # The third is no wall.
-    monkeypatch.setattr(revision, "_joined", lambda _, span: trials.get(span.other or span.one))
+    monkeypatch.setattr(revision, "_with_span", lambda _, span: trials.get(span.other or span.one))
     assert join_points(opened) == 1
     (best,) = taken
     assert best is trials[2]
